@@ -1,0 +1,1 @@
+"""Pure numerics of calibration: arrays in, frozen records out. Imports nothing of the framework."""

@@ -1,0 +1,1 @@
+"""Entry point of the built-in matchers and exporters; imports nothing heavy."""

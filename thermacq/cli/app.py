@@ -1,0 +1,42 @@
+"""All commands, and `main`, which runs one and turns errors into messages.
+
+Each command lives in a module of this package and imports what it needs when it runs, so that
+``thermacq --help`` stays quick.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from thermacq.cli import common, devices, rig
+from thermacq.errors import ThermacqError
+
+app = typer.Typer(
+    name="thermacq",
+    help="Measure water waves without touching them.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.command("plugins")(devices.plugins)
+app.command("devices")(devices.devices)
+app.add_typer(rig.app, name="rig")
+
+
+@app.callback()
+def _root() -> None:
+    """Measure water waves without touching them."""
+
+
+def main() -> None:
+    """Entry point of the ``thermacq`` command."""
+    try:
+        app()
+    except ThermacqError as error:
+        common.show_error(error)
+        sys.exit(common.EXIT_FAILED)
+    except KeyboardInterrupt:
+        common.err.print("interrupted")
+        sys.exit(common.EXIT_INTERRUPTED)

@@ -1,0 +1,37 @@
+"""What the commands share: consoles, JSON output, and the way errors are shown."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+from rich.console import Console
+
+EXIT_FAILED = 1
+EXIT_FINDINGS = 3
+EXIT_INTERRUPTED = 130
+
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def print_json(value: Any) -> None:
+    """Data for programs: one JSON document on stdout."""
+    json.dump(value, sys.stdout, indent=2, default=str)
+    sys.stdout.write("\n")
+
+
+def show_error(error: Exception) -> None:
+    """Show an error to a person: what happened first, then what was kept and what to do."""
+    what, kept, remedy = (getattr(error, name, "") for name in ("what", "kept", "remedy"))
+    err.print(f"[bold red]error:[/] {_escape(what or str(error))}")
+    for line in (kept, remedy):
+        if line:
+            err.print(f"  {_escape(line)}")
+
+
+def _escape(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)

@@ -1,0 +1,73 @@
+"""``thermacq plugins`` and ``thermacq devices``: what is installed and what is attached."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+import typer
+
+from thermacq.cli.common import out, print_json
+
+AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
+
+
+def plugins(as_json: AsJson = False) -> None:
+    """List the plugins, with the error of each that could not be used."""
+    from rich.table import Table
+
+    from thermacq import plugins as loaded
+
+    manager = loaded.plugins()
+    offers = {
+        "drivers": list(manager.drivers()),
+        "matchers": list(manager.matchers()),
+        "exporters": list(manager.exporters()),
+        "commands": list(manager.commands()),
+    }
+    if as_json:
+        print_json({"plugins": [asdict(status) for status in manager.statuses], **offers})
+        return
+    table = Table("plugin", "distribution", "state", box=None)
+    for status in manager.statuses:
+        state = "blocked" if status.blocked else (f"[red]{status.error}[/]" if status.error else "in use")
+        table.add_row(status.name, f"{status.distribution} {status.version}", state)
+    out.print(table)
+    for kind, names in offers.items():
+        out.print(f"{kind}: {', '.join(names) or 'none'}")
+
+
+def devices(as_json: AsJson = False) -> None:
+    """List the drivers and the devices that they find attached."""
+    from rich.table import Table
+
+    from thermacq import plugins as loaded
+
+    rows: list[dict[str, Any]] = []
+    for driver in loaded.plugins().drivers().values():
+        found: list[dict[str, Any]] = []
+        error = ""
+        try:
+            found = [asdict(identity) for identity in driver.discover()]
+        except Exception as problem:
+            error = f"{type(problem).__name__}: {problem}"
+        rows.append(
+            {
+                "driver": driver.name,
+                "kind": driver.kind.value,
+                "proven_on": driver.evidence.value,
+                "summary": driver.summary,
+                "found": found,
+                "error": error,
+            }
+        )
+    if as_json:
+        print_json({"drivers": rows})
+        return
+    table = Table("driver", "kind", "proven on", "found", "summary", box=None)
+    for row in rows:
+        names = ", ".join(f"{item['model']} {item['serial']}" for item in row["found"])
+        table.add_row(
+            row["driver"], row["kind"], row["proven_on"], row["error"] or names or "-", row["summary"]
+        )
+    out.print(table)

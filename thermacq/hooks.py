@@ -1,0 +1,191 @@
+"""The doors through which plugins come in: hook specifications, and the records that they return.
+
+A plugin is an entry point in group ``thermacq`` that names a module (or object) with functions decorated
+by `hookimpl`. Built-in drivers and matchers use the same door. This module imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pluggy
+
+from thermacq.devices import Device, DeviceContext, DeviceIdentity, DeviceKind, Settings
+
+if TYPE_CHECKING:
+    import numpy as np
+    import typer
+    from numpy.typing import NDArray
+    from pydantic import BaseModel
+
+    from thermacq.rig import Rig
+
+GROUP = "thermacq"
+hookspec = pluggy.HookspecMarker(GROUP)
+hookimpl = pluggy.HookimplMarker(GROUP)
+
+
+class Evidence(StrEnum):
+    """What a driver was proven on; "supported" is said of none that only met an emulator."""
+
+    SIMULATED = "simulated"
+    EMULATED = "emulated"
+    REAL_PEER = "real peer"
+    HARDWARE = "hardware"
+
+
+def _nothing_found() -> Sequence[DeviceIdentity]:
+    return ()
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A kind of device that can be named in a rig file.
+
+    Parameters
+    ----------
+    name
+        What the rig file says after ``driver =``.
+    kind
+        What it drives.
+    summary
+        One line for ``thermacq devices``.
+    evidence
+        What it was proven on.
+    make
+        Makes a device that is not yet open; imports vendor libraries only when called.
+    settings
+        Returns the pydantic model of the settings that `configure` takes; called only when needed.
+    discover
+        Cheap look-round for attached devices, opening none.
+    """
+
+    name: str
+    kind: DeviceKind
+    summary: str
+    evidence: Evidence
+    make: Callable[[DeviceContext], Device]
+    settings: Callable[[], type[BaseModel]]
+    discover: Callable[[], Sequence[DeviceIdentity]] = _nothing_found
+
+
+class DisparityMatcher(Protocol):
+    """Matches rectified pairs."""
+
+    def match(self, left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Disparity of the left picture.
+
+        Parameters
+        ----------
+        left, right
+            (rows, columns) float32, rectified, arbitrary unit (counts); NaN outside the picture.
+
+        Returns
+        -------
+        numpy.ndarray
+            (rows, columns) float32, pixels, column in left minus column in right; negative values are
+            legal; NaN where there is no trustworthy match.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Matcher:
+    """A way of matching that can be named in a rig file or on the command line."""
+
+    name: str
+    summary: str
+    settings: Callable[[], type[BaseModel]]
+    make: Callable[[BaseModel], DisparityMatcher]
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """A file format for a reconstructed product.
+
+    ``write(product, output, frame)`` writes the elevation product (a path to the CF NetCDF file) or one
+    frame of it to `output`.
+    """
+
+    name: str
+    summary: str
+    suffix: str
+    write: Callable[[Path, Path, int], None]
+
+
+@dataclass(frozen=True)
+class RigFinding:
+    """What a rig check found: severity ``error`` or ``warning``, and a message for the user."""
+
+    severity: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command group that a plugin adds to the command line."""
+
+    name: str
+    make: Callable[[], typer.Typer]
+
+
+@dataclass(frozen=True)
+class TruthRequest:
+    """Where and when the truth of a simulated run is wanted.
+
+    Parameters
+    ----------
+    scene
+        The ``[scene]`` table of the run's resolved rig.
+    time_s
+        (times,) float64, host time of the recording in seconds.
+    x_m, y_m
+        Coordinates of the grid in the world frame (still water, X along the flume), 1-D each.
+    """
+
+    scene: Settings
+    time_s: NDArray[np.float64]
+    x_m: NDArray[np.float64]
+    y_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a simulation knows: eta (times, y, x) float64, metres, and everything else as plain values."""
+
+    eta_m: NDArray[np.float64]
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+@hookspec
+def thermacq_drivers() -> Sequence[Driver]:  # type: ignore[empty-body]
+    """Drivers that this plugin brings."""
+
+
+@hookspec
+def thermacq_matchers() -> Sequence[Matcher]:  # type: ignore[empty-body]
+    """Matchers that this plugin brings."""
+
+
+@hookspec
+def thermacq_exporters() -> Sequence[Exporter]:  # type: ignore[empty-body]
+    """Export formats that this plugin brings."""
+
+
+@hookspec
+def thermacq_rig_checks(rig: Rig) -> Sequence[RigFinding]:  # type: ignore[empty-body]
+    """Look at a resolved rig and say what does not fit."""
+
+
+@hookspec
+def thermacq_commands() -> Sequence[Command]:  # type: ignore[empty-body]
+    """Command groups that this plugin adds."""
+
+
+@hookspec(firstresult=True)
+def thermacq_truth(request: TruthRequest) -> Truth | None:
+    """Truth of a simulated scene; None for a scene that this plugin did not simulate."""

@@ -1,0 +1,227 @@
+"""The rig file: which devices there are, how they are triggered, where they stand, what is stored.
+
+TOML, checked by pydantic; an unknown key is an error that names the line and the nearest right name. The
+resolved rig (every default filled in) is stored in each recording.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from thermacq.devices import TriggerMode
+from thermacq.errors import RigError
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ClockTable(_Table):
+    """Host clock of a recording. Virtual time is for rigs that are simulated throughout."""
+
+    kind: Literal["real", "virtual"] = "real"
+    speed: float = Field(0.0, ge=0, description="virtual seconds per real second; 0: as fast as possible")
+
+
+class TriggerTable(_Table):
+    """Who triggers the cameras, and how often."""
+
+    mode: TriggerMode = TriggerMode.SOFTWARE
+    frame_rate_hz: float = Field(50.0, gt=0, le=10_000)
+    source: str = Field("", description="trigger source, for mode 'hardware'")
+    late_after_us: float = Field(
+        1000.0, gt=0, description="a software trigger later than this is skipped and recorded"
+    )
+
+
+class CameraTable(_Table):
+    """One camera."""
+
+    driver: str
+    serial: str = Field("", description="expected serial number; empty accepts any")
+    pin_to_core: int | None = Field(None, ge=0, description="processor core of its device process")
+    settings: dict[str, Any] = Field(default_factory=dict, description="settings of the driver")
+
+
+class ProbeTable(_Table):
+    """One wave probe: where it stands in the world frame, and how its raw values become metres.
+
+    Elevation in metres = coefficient_m_per_unit * (raw - zero_raw).
+    """
+
+    driver: str
+    serial: str = ""
+    pin_to_core: int | None = Field(None, ge=0)
+    x_m: float = 0.0
+    y_m: float = 0.0
+    channel: str = Field("", description="channel that holds the elevation; empty: the first")
+    coefficient_m_per_unit: float = 1.0
+    coefficient_u_rel: float = Field(0.0, ge=0, description="relative standard uncertainty")
+    zero_raw: float | None = Field(None, description="raw value of still water; None: mean of the record")
+    settings: dict[str, Any] = Field(default_factory=dict)
+
+
+class TriggerSourceTable(_Table):
+    """One trigger source."""
+
+    driver: str
+    serial: str = ""
+    pin_to_core: int | None = Field(None, ge=0)
+    settings: dict[str, Any] = Field(default_factory=dict)
+
+
+class BoardTable(_Table):
+    """The calibration chessboard: inner corners and size of a square."""
+
+    columns: int = Field(9, ge=3)
+    rows: int = Field(6, ge=3)
+    square_m: float = Field(0.05, gt=0, lt=1, description="side of a square, metres")
+
+
+class WorldTable(_Table):
+    """World frame: origin on the still water, Z up, X along the flume.
+
+    X is the projection on the still water of a direction in the left picture; the point of the still
+    water straight below the left camera has the coordinates `left_camera_x_m`, `left_camera_y_m`.
+    """
+
+    x_axis: Literal["right", "left", "up", "down"] = "up"
+    x_axis_rotation_deg: float = 0.0
+    left_camera_x_m: float = 0.0
+    left_camera_y_m: float = 0.0
+
+
+class StoreTable(_Table):
+    """How the run file is written."""
+
+    compression: Literal["lz4", "zstd", "none"] = "lz4"
+    flush_interval_s: float = Field(0.25, gt=0, le=0.5)
+    ring_s: float = Field(2.0, ge=0.5, le=30, description="length of each shared-memory ring")
+    reserve_mb: float = Field(1024.0, ge=0, description="disk space that a recording leaves free")
+
+
+class ReconstructionTable(_Table):
+    """How elevation is made from pairs."""
+
+    matcher: str = "sgbm"
+    matcher_settings: dict[str, Any] = Field(default_factory=dict)
+    grid_spacing_m: float = Field(0.005, gt=0)
+    min_points_per_cell: int = Field(3, ge=1)
+
+
+class Rig(_Table):
+    """A whole rig."""
+
+    name: str = "rig"
+    clock: ClockTable = ClockTable()
+    trigger: TriggerTable = TriggerTable()
+    cameras: dict[str, CameraTable]
+    probes: dict[str, ProbeTable] = Field(default_factory=dict)
+    trigger_sources: dict[str, TriggerSourceTable] = Field(default_factory=dict)
+    board: BoardTable = BoardTable()
+    world: WorldTable = WorldTable()
+    store: StoreTable = StoreTable()
+    reconstruction: ReconstructionTable = ReconstructionTable()
+    scene: dict[str, Any] = Field(
+        default_factory=dict, description="what simulated devices look at; real devices ignore it"
+    )
+
+
+def load_rig(path: Path) -> Rig:
+    """Read and check a rig file.
+
+    Raises
+    ------
+    RigError
+        The file is missing, is not TOML, or holds unknown or impossible values.
+    """
+    return parse_rig(read_toml_text(path), str(path))
+
+
+def read_toml_text(path: Path) -> str:
+    """Text of a TOML file; raises `RigError` when it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RigError(
+            f"there is no file '{path}'", remedy="Give the path of a TOML file; examples/ has some."
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigError(f"'{path}' cannot be read: {error}") from None
+
+
+def parse_toml(text: str, origin: str) -> dict[str, Any]:
+    """TOML text to plain values; raises `RigError` naming the line."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RigError(f"{origin} is not valid TOML: {error}") from None
+
+
+def parse_rig(text: str, origin: str = "rig") -> Rig:
+    """Check the text of a rig file; `origin` names it in messages."""
+    values = parse_toml(text, origin)
+    try:
+        return Rig.model_validate(values)
+    except ValidationError as error:
+        raise RigError(
+            explain(error, Rig, origin, text),
+            remedy="Mend these lines; `thermacq rig schema` lists all keys.",
+        ) from None
+
+
+def explain(error: ValidationError, model: type[BaseModel], origin: str, text: str = "") -> str:
+    """Turn a validation error into lines for the user: place, line number, nearest right name."""
+    lines = []
+    for item in error.errors():
+        place = ".".join(str(part) for part in item["loc"])
+        number = _line_of(text, [str(part) for part in item["loc"]])
+        where = f"{origin}, line {number}" if number else origin
+        if item["type"] == "extra_forbidden":
+            key = str(item["loc"][-1])
+            near = difflib.get_close_matches(key, _keys_at(model, item["loc"][:-1]), n=1)
+            lines.append(f"{where}: unknown key '{place}'" + (f"; did you mean '{near[0]}'?" if near else ""))
+        else:
+            lines.append(f"{where}: {place}: {item['msg']}")
+    return "\n".join(lines)
+
+
+def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
+    """Keys allowed at a place of a model; steps through tables of tables by their value type."""
+    current: Any = model
+    for part in place:
+        if isinstance(current, type) and issubclass(current, BaseModel):
+            field = current.model_fields.get(str(part))
+            current = field.annotation if field else None
+        else:
+            arguments = getattr(current, "__args__", ())
+            current = arguments[-1] if arguments else None
+    if isinstance(current, type) and issubclass(current, BaseModel):
+        return list(current.model_fields)
+    return []
+
+
+def _line_of(text: str, place: list[str]) -> int:
+    """Line of a key in TOML text; 0 when it is not found (inline tables, missing keys)."""
+    table: list[str] = []
+    best = 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*\[+([^\]]+)\]+", line):
+            table = [part.strip().strip("\"'") for part in header[1].split(".")]
+            if place[: len(table)] == table:
+                best = number if len(table) > 0 else best
+                if table == place:
+                    return number
+        elif key := re.match(r"\s*([\w.\"'-]+)\s*=", line):
+            path = table + [part.strip("\"'") for part in key[1].split(".")]
+            if path == place[: len(path)]:
+                if len(path) == len(place):
+                    return number
+                best = number
+    return best
