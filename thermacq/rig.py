@@ -6,8 +6,6 @@ resolved rig (every default filled in) is stored in each recording.
 
 from __future__ import annotations
 
-import difflib
-import re
 import tomllib
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from thermacq.devices import TriggerMode
 from thermacq.errors import RigError
+from thermacq.settings import explain
+
+__all__ = ["Rig", "explain", "load_rig", "parse_rig", "parse_toml", "read_toml_text"]
 
 
 class _Table(BaseModel):
@@ -174,54 +175,3 @@ def parse_rig(text: str, origin: str = "rig") -> Rig:
             explain(error, Rig, origin, text),
             remedy="Mend these lines; `thermacq rig schema` lists all keys.",
         ) from None
-
-
-def explain(error: ValidationError, model: type[BaseModel], origin: str, text: str = "") -> str:
-    """Turn a validation error into lines for the user: place, line number, nearest right name."""
-    lines = []
-    for item in error.errors():
-        place = ".".join(str(part) for part in item["loc"])
-        number = _line_of(text, [str(part) for part in item["loc"]])
-        where = f"{origin}, line {number}" if number else origin
-        if item["type"] == "extra_forbidden":
-            key = str(item["loc"][-1])
-            near = difflib.get_close_matches(key, _keys_at(model, item["loc"][:-1]), n=1)
-            lines.append(f"{where}: unknown key '{place}'" + (f"; did you mean '{near[0]}'?" if near else ""))
-        else:
-            lines.append(f"{where}: {place}: {item['msg']}")
-    return "\n".join(lines)
-
-
-def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
-    """Keys allowed at a place of a model; steps through tables of tables by their value type."""
-    current: Any = model
-    for part in place:
-        if isinstance(current, type) and issubclass(current, BaseModel):
-            field = current.model_fields.get(str(part))
-            current = field.annotation if field else None
-        else:
-            arguments = getattr(current, "__args__", ())
-            current = arguments[-1] if arguments else None
-    if isinstance(current, type) and issubclass(current, BaseModel):
-        return list(current.model_fields)
-    return []
-
-
-def _line_of(text: str, place: list[str]) -> int:
-    """Line of a key in TOML text; 0 when it is not found (inline tables, missing keys)."""
-    table: list[str] = []
-    best = 0
-    for number, line in enumerate(text.splitlines(), start=1):
-        if header := re.match(r"\s*\[+([^\]]+)\]+", line):
-            table = [part.strip().strip("\"'") for part in header[1].split(".")]
-            if place[: len(table)] == table:
-                best = number if len(table) > 0 else best
-                if table == place:
-                    return number
-        elif key := re.match(r"\s*([\w.\"'-]+)\s*=", line):
-            path = table + [part.strip("\"'") for part in key[1].split(".")]
-            if path == place[: len(path)]:
-                if len(path) == len(place):
-                    return number
-                best = number
-    return best

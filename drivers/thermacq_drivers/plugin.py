@@ -10,4 +10,6 @@ from thermacq.hooks import Driver, hookimpl
 @hookimpl
 def thermacq_drivers() -> Sequence[Driver]:
     """Built-in drivers."""
-    return ()
+    from thermacq_drivers import testpattern
+
+    return (testpattern.DRIVER,)
