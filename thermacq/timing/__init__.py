@@ -3,6 +3,28 @@
 Arrays in, records out; nothing here touches a device or a file.
 """
 
-from thermacq.timing.clock import Clock, ClockSettings, RealClock, VirtualClock, make_clock
+from thermacq.timing.clock import NS_PER_S, Clock, ClockSettings, RealClock, VirtualClock, make_clock
+from thermacq.timing.counters import lost_between, unwrap_counter
+from thermacq.timing.models import ClockModel, fit_clock, fit_clock_to_pulses
+from thermacq.timing.pairing import FrameTimes, Pairs, frame_times_ns, pair_frames
+from thermacq.timing.report import skew_figures, sync_report
 
-__all__ = ["Clock", "ClockSettings", "RealClock", "VirtualClock", "make_clock"]
+__all__ = [
+    "NS_PER_S",
+    "Clock",
+    "ClockModel",
+    "ClockSettings",
+    "FrameTimes",
+    "Pairs",
+    "RealClock",
+    "VirtualClock",
+    "fit_clock",
+    "fit_clock_to_pulses",
+    "frame_times_ns",
+    "lost_between",
+    "make_clock",
+    "pair_frames",
+    "skew_figures",
+    "sync_report",
+    "unwrap_counter",
+]

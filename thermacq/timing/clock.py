@@ -30,6 +30,10 @@ class Clock(Protocol):
         """Whether time advances only by waiting."""
         ...
 
+    def start(self) -> None:
+        """Recording begins: virtual time is 0 now; real time takes no notice."""
+        ...
+
     def now_ns(self) -> int:
         """Host time now, in nanoseconds."""
         ...
@@ -60,6 +64,9 @@ class RealClock:
 
     is_virtual = False
 
+    def start(self) -> None:
+        """Real time has no start."""
+
     def now_ns(self) -> int:
         """Host time now, in nanoseconds."""
         return time.perf_counter_ns()
@@ -81,8 +88,12 @@ class VirtualClock:
     is_virtual = True
 
     def __init__(self, speed: float = 0.0) -> None:
-        self._now_ns = 0
         self._speed = speed
+        self.start()
+
+    def start(self) -> None:
+        """Set virtual time to 0; pacing by real time counts from here."""
+        self._now_ns = 0
         self._real_start_ns = time.perf_counter_ns()
 
     def now_ns(self) -> int:
