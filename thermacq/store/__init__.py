@@ -1,1 +1,38 @@
-"""To be written."""
+"""The run file: raw counts and every time stamp, written so that nothing committed is ever lost.
+
+`RunWriter` writes it, `open_run` reads it, `recover` mends it, `verify` checks it, and the importer makes one of
+pictures and videos that were taken elsewhere.
+"""
+
+from thermacq.store.codec import Compression, encode_frame, frame_crc32
+from thermacq.store.disk import check_room
+from thermacq.store.reader import RunFile, open_run
+from thermacq.store.records import (
+    CameraStream,
+    Event,
+    EventKind,
+    FrameRow,
+    FrameTable,
+    ProbeSamples,
+    ProbeStream,
+    RunHeader,
+)
+from thermacq.store.writer import RunWriter
+
+__all__ = [
+    "CameraStream",
+    "Compression",
+    "Event",
+    "EventKind",
+    "FrameRow",
+    "FrameTable",
+    "ProbeSamples",
+    "ProbeStream",
+    "RunFile",
+    "RunHeader",
+    "RunWriter",
+    "check_room",
+    "encode_frame",
+    "frame_crc32",
+    "open_run",
+]
