@@ -18,14 +18,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntFlag, StrEnum
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-from thermacq.timing.clock import Clock
+    from thermacq.timing.clock import Clock
 
-Counts: TypeAlias = NDArray[np.uint16]
+# Quoted: listing plugins and commands needs this module, and must not wait for numpy.
+Counts: TypeAlias = "NDArray[np.uint16]"
 """Raw picture, (rows, columns) uint16, counts."""
 
 Settings: TypeAlias = Mapping[str, Any]
@@ -184,6 +186,12 @@ class ProbeCapabilities:
     has_trigger_line: bool = False
 
 
+def _no_ticks() -> NDArray[np.int64]:
+    import numpy as np
+
+    return np.empty(0, np.int64)
+
+
 @dataclass(frozen=True, slots=True)
 class SampleBlock:
     """Consecutive samples of a probe.
@@ -206,7 +214,7 @@ class SampleBlock:
     ticks: NDArray[np.int64]
     first_index: int
     host_ns: int
-    pulse_ticks: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    pulse_ticks: NDArray[np.int64] = field(default_factory=_no_ticks)
 
 
 @dataclass(frozen=True)

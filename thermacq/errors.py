@@ -21,7 +21,7 @@ class ThermacqError(Exception):
     """
 
     def __init__(self, what: str, *, kept: str = "", remedy: str = "") -> None:
-        super().__init__(what, kept, remedy)
+        super().__init__(what)
         self.what = what
         self.kept = kept
         self.remedy = remedy

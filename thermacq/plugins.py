@@ -19,7 +19,7 @@ import pluggy
 
 from thermacq import hooks
 from thermacq.devices import DeviceKind
-from thermacq.errors import PluginError
+from thermacq.errors import PluginError, ThermacqError
 from thermacq.hooks import Command, Driver, Exporter, Matcher, RigFinding, Truth, TruthRequest
 
 if TYPE_CHECKING:
@@ -68,17 +68,17 @@ class Plugins:
 
     def _load(self, entry: EntryPoint) -> str:
         """Load and register one plugin; return what went wrong."""
-        plugin = None
+        registered = None
         try:
             plugin = entry.load()
-            self._manager.register(plugin, name=entry.name)
+            registered = self._manager.register(plugin, name=entry.name)
             self._manager.check_pending()
-        # A plugin is foreign code: whatever it raises, even at import, must not stop the host.
+        except KeyboardInterrupt:
+            raise
+        # A plugin is foreign code: whatever it raises, even SystemExit at import, must not stop the host.
         except BaseException as error:
-            if isinstance(error, KeyboardInterrupt):
-                raise
-            if plugin is not None and self._manager.is_registered(plugin):
-                self._manager.unregister(plugin)
+            if registered is not None:
+                self._manager.unregister(name=registered)
             return f"{type(error).__name__}: {error}"
         return ""
 
@@ -149,15 +149,29 @@ class Plugins:
         findings: list[RigFinding] = []
         for implementation in self._manager.hook.thermacq_rig_checks.get_hookimpls():
             try:
-                findings.extend(cast("Sequence[RigFinding]", implementation.function(rig)))
+                found = cast("Sequence[RigFinding]", implementation.function(rig))
+                findings.extend(RigFinding(finding.severity, finding.message) for finding in found)
             except Exception as error:
                 message = f"rig check of plugin '{implementation.plugin_name}' failed: {error}"
                 findings.append(RigFinding("warning", message))
         return findings
 
     def truth(self, request: TruthRequest) -> Truth | None:
-        """Truth of a simulated scene, None when no plugin simulated it."""
-        truth: Truth | None = self._manager.hook.thermacq_truth(request=request)
+        """Truth of a simulated scene, None when no plugin simulated it.
+
+        Raises
+        ------
+        PluginError
+            The plugin that simulated the scene failed.
+        """
+        try:
+            truth: Truth | None = self._manager.hook.thermacq_truth(request=request)
+        except ThermacqError:
+            raise
+        except Exception as error:
+            raise PluginError(
+                f"a plugin failed to give the truth: {type(error).__name__}: {error}"
+            ) from error
         return truth
 
 

@@ -11,10 +11,11 @@ import sys
 import typer
 
 from thermacq.cli import common, devices, rig
-from thermacq.errors import ThermacqError
+from thermacq.cli.plugin_commands import GroupWithPlugins
 
 app = typer.Typer(
     name="thermacq",
+    cls=GroupWithPlugins,
     help="Measure water waves without touching them.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -31,12 +32,15 @@ def _root() -> None:
 
 
 def main() -> None:
-    """Entry point of the ``thermacq`` command."""
+    """Entry point of the ``thermacq`` command.
+
+    Errors that carry ``what`` (`ThermacqError`, and the errors of ``thermacq_calibration``, which knows
+    nothing of ours) and those of the file system are explained; anything else is a bug and is traced.
+    """
     try:
         app()
-    except ThermacqError as error:
+    except Exception as error:
+        if not (hasattr(error, "what") or isinstance(error, OSError)):
+            raise
         common.show_error(error)
         sys.exit(common.EXIT_FAILED)
-    except KeyboardInterrupt:
-        common.err.print("interrupted")
-        sys.exit(common.EXIT_INTERRUPTED)

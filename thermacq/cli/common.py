@@ -31,6 +31,11 @@ def show_error(error: Exception) -> None:
             err.print(f"  {_escape(line)}")
 
 
+def warn(text: str) -> None:
+    """Tell a person of something that did not stop the command."""
+    err.print(f"[bold yellow]warning:[/] {_escape(text)}")
+
+
 def _escape(text: str) -> str:
     from rich.markup import escape
 

@@ -14,6 +14,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")
 
 def plugins(as_json: AsJson = False) -> None:
     """List the plugins, with the error of each that could not be used."""
+    from rich.markup import escape
     from rich.table import Table
 
     from thermacq import plugins as loaded
@@ -30,8 +31,9 @@ def plugins(as_json: AsJson = False) -> None:
         return
     table = Table("plugin", "distribution", "state", box=None)
     for status in manager.statuses:
-        state = "blocked" if status.blocked else (f"[red]{status.error}[/]" if status.error else "in use")
-        table.add_row(status.name, f"{status.distribution} {status.version}", state)
+        trouble = f"[red]{escape(status.error)}[/]" if status.error else "in use"
+        state = "blocked" if status.blocked else trouble
+        table.add_row(escape(status.name), f"{status.distribution} {status.version}", state)
     out.print(table)
     for kind, names in offers.items():
         out.print(f"{kind}: {', '.join(names) or 'none'}")
@@ -39,6 +41,7 @@ def plugins(as_json: AsJson = False) -> None:
 
 def devices(as_json: AsJson = False) -> None:
     """List the drivers and the devices that they find attached."""
+    from rich.markup import escape
     from rich.table import Table
 
     from thermacq import plugins as loaded
@@ -67,7 +70,6 @@ def devices(as_json: AsJson = False) -> None:
     table = Table("driver", "kind", "proven on", "found", "summary", box=None)
     for row in rows:
         names = ", ".join(f"{item['model']} {item['serial']}" for item in row["found"])
-        table.add_row(
-            row["driver"], row["kind"], row["proven_on"], row["error"] or names or "-", row["summary"]
-        )
+        shown = [row["driver"], row["kind"], row["proven_on"], row["error"] or names or "-", row["summary"]]
+        table.add_row(*map(escape, shown))
     out.print(table)
