@@ -17,6 +17,8 @@ from thermacq.store.records import (
     ProbeStream,
     RunHeader,
 )
+from thermacq.store.recovery import RecoveryReport, recover
+from thermacq.store.verification import Finding, VerifyReport, verify
 from thermacq.store.writer import RunWriter
 
 __all__ = [
@@ -24,15 +26,20 @@ __all__ = [
     "Compression",
     "Event",
     "EventKind",
+    "Finding",
     "FrameRow",
     "FrameTable",
     "ProbeSamples",
     "ProbeStream",
+    "RecoveryReport",
     "RunFile",
     "RunHeader",
     "RunWriter",
+    "VerifyReport",
     "check_room",
     "encode_frame",
     "frame_crc32",
     "open_run",
+    "recover",
+    "verify",
 ]

@@ -22,6 +22,7 @@ Compression = Literal["lz4", "zstd", "none"]
 
 BLOSC_FILTER = 32001
 _LEVELS = {"lz4": 5, "zstd": 1}
+_BLOSC_ZSTD = 5
 _BLOSC_HEADER_BYTES = 16
 
 
@@ -54,10 +55,11 @@ def encode_frame(counts: Counts, compression: Compression) -> bytes:
     contiguous = np.ascontiguousarray(counts, np.uint16)
     if compression == "none":
         return contiguous.tobytes()
-    return bytes(_blosc(compression).encode(contiguous))
+    encoded: bytes = _blosc(compression).encode(contiguous)
+    return encoded
 
 
-def decode_frame(chunk: bytes, rows: int, columns: int, *, compressed: bool) -> NDArray[np.uint16]:
+def decode_frame(chunk: bytes, rows: int, columns: int, compression: Compression) -> NDArray[np.uint16]:
     """Counts of one chunk, (rows, columns) uint16.
 
     The sizes stated in the chunk are compared with what is expected before anything is unpacked.
@@ -69,12 +71,12 @@ def decode_frame(chunk: bytes, rows: int, columns: int, *, compressed: bool) -> 
     """
     expected = rows * columns * 2
     raw = chunk
-    if compressed:
+    if compression != "none":
         stated = int.from_bytes(chunk[4:8], "little"), int.from_bytes(chunk[12:16], "little")
         if len(chunk) < _BLOSC_HEADER_BYTES or stated != (expected, len(chunk)):
             raise StoreError("its compressed data are damaged")
         try:
-            raw = _blosc("lz4").decode(chunk)
+            raw = _blosc(compression).decode(chunk)
         except RuntimeError:
             raise StoreError("its compressed data are damaged") from None
     if len(raw) != expected:
@@ -89,3 +91,8 @@ def filter_options(compression: Compression) -> dict[str, Any]:
     import hdf5plugin
 
     return dict(hdf5plugin.Blosc(compression, _LEVELS[compression], hdf5plugin.Blosc.BITSHUFFLE))
+
+
+def compression_of(options: tuple[int, ...]) -> Compression:
+    """Compression that the options of the Blosc filter of a dataset name."""
+    return "zstd" if len(options) > 6 and options[6] == _BLOSC_ZSTD else "lz4"

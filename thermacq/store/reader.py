@@ -22,7 +22,7 @@ from pydantic import ValidationError
 from thermacq.errors import StoreError
 from thermacq.rig import Rig
 from thermacq.store import layout
-from thermacq.store.codec import BLOSC_FILTER, decode_frame
+from thermacq.store.codec import BLOSC_FILTER, Compression, compression_of, decode_frame
 from thermacq.store.records import (
     CameraStream,
     Event,
@@ -70,7 +70,7 @@ class _Table:
 class _Camera:
     stream: CameraStream
     data: h5py.Dataset
-    compressed: bool
+    compression: Compression
     table: _Table
 
 
@@ -128,6 +128,11 @@ class RunFile:
         return tuple(self._cameras)
 
     @property
+    def compression(self) -> Compression:
+        """How the pictures are compressed."""
+        return next((camera.compression for camera in self._cameras.values()), "none")
+
+    @property
     def probes(self) -> tuple[str, ...]:
         """Names of the wave probes, in the order of the rig."""
         return tuple(self._probes)
@@ -174,7 +179,7 @@ class RunFile:
         found = self._camera(camera)
         chunk = self.encoded(camera, index)
         try:
-            return decode_frame(chunk, found.stream.rows, found.stream.columns, compressed=found.compressed)
+            return decode_frame(chunk, found.stream.rows, found.stream.columns, found.compression)
         except StoreError as error:
             raise StoreError(
                 f"frame {index} of camera '{camera}' in '{self.path}' cannot be read: {error}",
@@ -216,7 +221,7 @@ class RunFile:
         with _explained(self.path):
             columns = [self._events.read(name) for name in layout.EVENT_COLUMNS]
             return [
-                Event(int(host_ns), device.decode(), _kind(kind.decode()), int(index), detail.decode())
+                Event(int(host_ns), device.decode(), EventKind(kind.decode()), int(index), detail.decode())
                 for host_ns, device, kind, index, detail in zip(*columns, strict=True)
             ]
 
@@ -307,10 +312,6 @@ def _explained(path: Path) -> Iterator[None]:
         raise StoreError(f"'{path}' is not a run file, or is damaged: {error}") from None
 
 
-def _kind(name: str) -> EventKind:
-    return EventKind(name)
-
-
 def _read_camera(instrument: h5py.Group, stream: CameraStream, file_bytes: int) -> _Camera:
     rows, columns = int(stream.rows), int(stream.columns)
     if rows < 1 or columns < 1 or rows * columns > _MAX_PIXELS:
@@ -320,13 +321,14 @@ def _read_camera(instrument: h5py.Group, stream: CameraStream, file_bytes: int) 
     if data.dtype != np.uint16 or data.shape[1:] != (rows, columns) or data.chunks != (1, rows, columns):
         raise StoreError(f"the pictures of camera '{stream.name}' are not stored as they must be")
     properties = data.id.get_create_plist()
-    filters = [properties.get_filter(number)[0] for number in range(properties.get_nfilters())]
-    if filters not in ([], [BLOSC_FILTER]):
+    filters = [properties.get_filter(number) for number in range(properties.get_nfilters())]
+    if [number for number, *_ in filters] not in ([], [BLOSC_FILTER]):
         raise StoreError(f"the pictures of camera '{stream.name}' are compressed in an unknown way")
+    compression = compression_of(filters[0][2]) if filters else "none"
     table = _table(_group(detector, layout.DETAILS), layout.FRAME_COLUMNS, file_bytes)
     if table.committed > data.shape[0]:
         raise StoreError(f"camera '{stream.name}' claims more frames than there are")
-    return _Camera(stream, data, bool(filters), table)
+    return _Camera(stream, data, compression, table)
 
 
 def _read_probe(instrument: h5py.Group, stream: ProbeStream, file_bytes: int) -> _Probe:
