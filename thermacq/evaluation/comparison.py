@@ -154,7 +154,9 @@ def compare_series(
     reference_time, reference = _columns(reference_time_s, reference_m, reference_name)
     known = np.isfinite(reference)
     if np.count_nonzero(known) < 3:
-        raise WaveError(f"{reference_name} holds {np.count_nonzero(known)} finite samples: too few to compare")
+        raise WaveError(
+            f"{reference_name} holds {np.count_nonzero(known)} finite samples: too few to compare"
+        )
     common = _common(time, reference_time[known])
     if np.count_nonzero(common & np.isfinite(measured)) < 3:
         raise WaveError(
