@@ -1,6 +1,7 @@
 """Pure numerics of calibration: arrays in, frozen records out. Imports nothing of the framework."""
 
 from thermacq_calibration.errors import CalibrationError
+from thermacq_calibration.judgement import findings
 from thermacq_calibration.models import Board, CameraModel, ViewReport
 from thermacq_calibration.record import StereoCalibration, load_calibration
 from thermacq_calibration.rectification import (
@@ -11,16 +12,34 @@ from thermacq_calibration.rectification import (
     rectify_points,
     vertical_differences_px,
 )
+from thermacq_calibration.stereo import View, calibrate_stereo
+from thermacq_calibration.targets import (
+    FRAMES_TO_AVERAGE,
+    Detection,
+    NoBoard,
+    average,
+    check_board,
+    detect_board,
+)
 
 __all__ = [
+    "FRAMES_TO_AVERAGE",
     "Board",
     "CalibrationError",
     "CameraModel",
+    "Detection",
+    "NoBoard",
     "Rectification",
     "Resampling",
     "StereoCalibration",
+    "View",
     "ViewReport",
     "apply",
+    "average",
+    "calibrate_stereo",
+    "check_board",
+    "detect_board",
+    "findings",
     "load_calibration",
     "rectify",
     "rectify_points",
