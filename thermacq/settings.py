@@ -7,7 +7,7 @@ same everywhere: file, line, place, and the nearest right name.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin
 
@@ -39,7 +39,7 @@ def check_settings(model: type[_Model], settings: Mapping[str, Any], device: str
     try:
         return model.model_validate(dict(settings))
     except ValidationError as error:
-        raise DeviceFault(device, "configure", "; ".join(findings(error, model))) from None
+        raise DeviceFault(device, "configure", "; ".join(sentence for _, sentence in _findings(error, model))) from None
 
 
 def explain(
@@ -61,28 +61,32 @@ def explain(
         Place in the text of the table that was validated, e.g. ``("cameras", "left", "settings")``.
     """
     lines = []
-    for item, finding in zip(error.errors(), findings(error, model, inside), strict=True):
-        number = line_of(text, [*inside, *map(str, item["loc"])])
-        lines.append(f"{origin}, line {number}: {finding}" if number else f"{origin}: {finding}")
+    for place, sentence in _findings(error, model):
+        number = line_of(text, [*inside, *place])
+        where = f"{origin}, line {number}" if number else origin
+        within = f"{'.'.join(inside)}: " if inside else ""
+        lines.append(f"{where}: {within}{sentence}")
     return "\n".join(lines)
 
 
-def findings(error: ValidationError, model: type[BaseModel], inside: tuple[str, ...] = ()) -> list[str]:
-    """One sentence for each error: its place, what is wrong, and the nearest right name."""
-    sentences = []
+def _findings(error: ValidationError, model: type[BaseModel]) -> Iterator[tuple[list[str], str]]:
+    """Place of each error, and a sentence that says what is wrong and the nearest right name."""
     for item in error.errors():
-        place = ".".join([*inside, *map(str, item["loc"])])
-        if item["type"] == "extra_forbidden":
+        place = [str(part) for part in item["loc"] if part != "[key]"]
+        name, kind = ".".join(place), item["type"]
+        if kind == "extra_forbidden":
             known = _keys_at(model, item["loc"][:-1])
-            near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1)
+            near = difflib.get_close_matches(place[-1], known, n=1)
             hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known) or 'nothing'}"
-            sentences.append(f"unknown key '{place}'; {hint}")
-        elif item["type"] == "missing":
-            sentences.append(f"'{place}' is missing")
+            yield place, f"unknown key '{name}'; {hint}"
+        elif kind == "missing":
+            yield place, f"'{name}' is missing"
+        elif kind in ("dict_type", "model_type"):
+            yield place, f"{name}: must be a table, not {_short(item['input'])}"
         else:
-            message = item["msg"][0].lower() + item["msg"][1:]
-            sentences.append(f"{place}: {message}, not {_short(item['input'])}" if place else message)
-    return sentences
+            message = item["msg"].removeprefix("Value error, ")
+            message = message[0].lower() + message[1:]
+            yield place, f"{name}: {message}, not {_short(item['input'])}" if name else message
 
 
 def _short(value: object) -> str:

@@ -1,26 +1,27 @@
-"""The rig file: which devices there are, how they are triggered, where they stand, what is stored.
-
-TOML, checked by pydantic; an unknown key is an error that names the line and the nearest right name. The
-resolved rig (every default filled in) is stored in each recording.
-"""
+"""The tables of a rig file, with their defaults and limits; units stand in the names."""
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
-from typing import Any, Literal
+import re
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from thermacq.devices import TriggerMode
-from thermacq.errors import RigError
-from thermacq.settings import explain
 
-__all__ = ["Rig", "explain", "load_rig", "parse_rig", "parse_toml", "read_toml_text"]
+
+def _device_name(name: str) -> str:
+    """Names of devices become names of groups in the run file and of processes."""
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,31}", name):
+        raise ValueError("a device name is a letter, then at most 31 letters, digits, '_' or '-'")
+    return name
+
+
+DeviceName = Annotated[str, AfterValidator(_device_name)]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class ClockTable(_Table):
@@ -33,7 +34,7 @@ class ClockTable(_Table):
 class TriggerTable(_Table):
     """Who triggers the cameras, and how often."""
 
-    mode: TriggerMode = TriggerMode.SOFTWARE
+    mode: TriggerMode = Field(TriggerMode.SOFTWARE, strict=False)
     frame_rate_hz: float = Field(50.0, gt=0, le=10_000)
     source: str = Field("", description="trigger source, for mode 'hardware'")
     late_after_us: float = Field(
@@ -122,9 +123,9 @@ class Rig(_Table):
     name: str = "rig"
     clock: ClockTable = ClockTable()
     trigger: TriggerTable = TriggerTable()
-    cameras: dict[str, CameraTable]
-    probes: dict[str, ProbeTable] = Field(default_factory=dict)
-    trigger_sources: dict[str, TriggerSourceTable] = Field(default_factory=dict)
+    cameras: dict[DeviceName, CameraTable] = Field(min_length=1)
+    probes: dict[DeviceName, ProbeTable] = Field(default_factory=dict)
+    trigger_sources: dict[DeviceName, TriggerSourceTable] = Field(default_factory=dict)
     board: BoardTable = BoardTable()
     world: WorldTable = WorldTable()
     store: StoreTable = StoreTable()
@@ -132,46 +133,3 @@ class Rig(_Table):
     scene: dict[str, Any] = Field(
         default_factory=dict, description="what simulated devices look at; real devices ignore it"
     )
-
-
-def load_rig(path: Path) -> Rig:
-    """Read and check a rig file.
-
-    Raises
-    ------
-    RigError
-        The file is missing, is not TOML, or holds unknown or impossible values.
-    """
-    return parse_rig(read_toml_text(path), str(path))
-
-
-def read_toml_text(path: Path) -> str:
-    """Text of a TOML file; raises `RigError` when it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise RigError(
-            f"there is no file '{path}'", remedy="Give the path of a TOML file; examples/ has some."
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise RigError(f"'{path}' cannot be read: {error}") from None
-
-
-def parse_toml(text: str, origin: str) -> dict[str, Any]:
-    """TOML text to plain values; raises `RigError` naming the line."""
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RigError(f"{origin} is not valid TOML: {error}") from None
-
-
-def parse_rig(text: str, origin: str = "rig") -> Rig:
-    """Check the text of a rig file; `origin` names it in messages."""
-    values = parse_toml(text, origin)
-    try:
-        return Rig.model_validate(values)
-    except ValidationError as error:
-        raise RigError(
-            explain(error, Rig, origin, text),
-            remedy="Mend these lines; `thermacq rig schema` lists all keys.",
-        ) from None
