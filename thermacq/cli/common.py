@@ -18,8 +18,12 @@ err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 def print_json(value: Any) -> None:
     """Data for programs: one JSON document on stdout."""
-    json.dump(value, sys.stdout, indent=2, default=str)
+    json.dump(value, sys.stdout, indent=2, default=_json_value)
     sys.stdout.write("\n")
+
+
+def _json_value(value: Any) -> Any:
+    return sorted(value) if isinstance(value, frozenset) else str(value)
 
 
 def show_error(error: Exception) -> None:

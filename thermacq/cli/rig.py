@@ -1,16 +1,114 @@
-"""``thermacq rig``: check a rig file against its devices, export its JSON schema."""
+"""``thermacq rig``: check a rig file against its devices, show it resolved, export its JSON schema."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
 import typer
 
-app = typer.Typer(help="Check a rig file, export its schema.", no_args_is_help=True)
+from thermacq.cli.common import EXIT_FINDINGS, err, out, print_json
+
+if TYPE_CHECKING:
+    from thermacq.hooks import RigFinding
+    from thermacq.rig.fit import Load, Machine
+    from thermacq.rig.inspection import DeviceReport
+    from thermacq.rig.model import Rig
+
+app = typer.Typer(help="Check a rig file, show it, export its schema.", no_args_is_help=True)
+
+RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (TOML).")]
+SceneFile = Annotated[
+    Path | None, typer.Option("--scene", help="TOML file whose keys replace those of [scene].")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 
 
 @app.command()
 def schema() -> None:
     """Print the JSON schema of the rig file."""
-    from thermacq.cli.common import print_json
     from thermacq.rig import Rig
 
     print_json(Rig.model_json_schema())
+
+
+@app.command()
+def show(rig_file: RigFile, scene: SceneFile = None) -> None:
+    """Print the resolved rig, every default filled in, as JSON."""
+    from thermacq.rig import load_rig
+
+    print_json(load_rig(rig_file, scene).model_dump(mode="json"))
+
+
+@app.command()
+def check(rig_file: RigFile, scene: SceneFile = None, as_json: AsJson = False) -> None:
+    """Open every device, show what it applied, and say what does not fit (then exit with 3)."""
+    from thermacq.plugins import plugins
+    from thermacq.rig import load_rig
+    from thermacq.rig.fit import find_misfits, load_of, this_machine
+    from thermacq.rig.inspection import inspect_devices
+
+    rig = load_rig(rig_file, scene)
+    with err.status("opening the devices ..."):
+        reports = inspect_devices(rig)
+    machine = this_machine(Path.cwd())
+    findings = find_misfits(rig, reports, plugins(), machine)
+    load = load_of(rig, reports)
+    if as_json:
+        print_json(
+            {
+                "devices": [asdict(report) for report in reports],
+                "load": asdict(load),
+                "machine": asdict(machine),
+                "findings": [asdict(finding) for finding in findings],
+            }
+        )
+    else:
+        for report in reports:
+            _show_device(report)
+        _show_load(rig, load, machine)
+        _show_findings(findings)
+    if any(finding.severity == "error" for finding in findings):
+        raise typer.Exit(EXIT_FINDINGS)
+
+
+def _show_device(report: DeviceReport) -> None:
+    from rich.markup import escape
+
+    found = report.identity
+    who = f"{found.model}, serial {found.serial}" if found else "not opened"
+    proven = f", proven on: {report.evidence}" if report.evidence else ""
+    out.print(f"[bold]{escape(report.name)}[/]  {escape(who)} ({report.driver}{proven})")
+    for key, asked in report.requested.items():
+        applied = f"applied {report.applied[key]!r}" if key in report.applied else "not applied"
+        out.print(f"  {escape(f'{key}: asked {asked!r}, {applied}')}")
+    defaults = [f"{key} {value}" for key, value in report.applied.items() if key not in report.requested]
+    if defaults:
+        out.print(f"  [dim]by default: {escape(', '.join(defaults))}[/]")
+    if report.capabilities:
+        facts = ", ".join(f"{key} {_plain(value)}" for key, value in asdict(report.capabilities).items())
+        out.print(f"  can: {escape(facts)}")
+
+
+def _plain(value: Any) -> str:
+    return "/".join(sorted(map(str, value))) if isinstance(value, frozenset | tuple) else f"{value}"
+
+
+def _show_load(rig: Rig, load: Load, machine: Machine) -> None:
+    usable_bytes = max(0.0, machine.disk_bytes - rig.store.reserve_mb * 1e6)
+    lasts = f"{usable_bytes / load.bytes_per_s / 60:.1f} min" if load.bytes_per_s else "-"
+    out.print(
+        f"pictures: {load.bytes_per_s / 1e6:.1f} MB/s before compression; rings: {load.ring_bytes / 1e6:.0f} MB; "
+        f"this disk holds {lasts} uncompressed"
+    )
+
+
+def _show_findings(findings: list[RigFinding]) -> None:
+    from rich.markup import escape
+
+    for finding in findings:
+        colour = "red" if finding.severity == "error" else "yellow"
+        out.print(f"[bold {colour}]{escape(finding.severity)}:[/] {escape(finding.message)}")
+    if not findings:
+        out.print("everything fits")
