@@ -212,7 +212,10 @@ class StereoCalibration:
                 f"'{path}' exists already", kept="It was not touched.", remedy="Choose another name."
             ) from None
         except OSError as error:
-            raise CalibrationError(f"'{path}' cannot be written: {error.strerror}") from None
+            raise CalibrationError(
+                f"'{path}' cannot be written: {error.strerror}",
+                remedy="Choose a folder that exists and has room.",
+            ) from None
 
     def _content(self) -> dict[str, Any]:
         return {

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.models import Board, Float, frozen_array
+from thermacq_calibration.poses import pixel_noise
 
 FRAMES_TO_AVERAGE = 16
 # Edges that wide (10 % to 90 %) come from a blur of sigma 4 px, or of 2 px under much noise.
@@ -104,7 +105,7 @@ def detect_board(picture: NDArray[Any], board: Board) -> Detection | NoBoard:
         return NoBoard(_why_nothing_found(picture, board))
     sharpness = _sharpness_px(grey, board, corners)
     grid, contrast = _order(corners.reshape(board.rows, board.columns, 2), picture)
-    noise = _pixel_noise(picture)
+    noise = pixel_noise(picture)
     if contrast < MIN_CONTRAST_TO_NOISE * noise:
         return NoBoard(
             f"contrast too small: {contrast:.3g} counts between squares, pixel noise {noise:.3g} counts"
@@ -184,15 +185,6 @@ def _checker_difference(grid: Float, picture: NDArray[Any]) -> float:
     return float(counts[like_first].mean() - counts[~like_first].mean())
 
 
-def _pixel_noise(picture: NDArray[Any]) -> float:
-    """Standard deviation of pixel noise in counts, from second differences that cancel smooth content."""
-    values = np.asarray(picture, np.float64)
-    rows = values[:, :-2] - 2 * values[:, 1:-1] + values[:, 2:]
-    both = rows[:-2] - 2 * rows[1:-1] + rows[2:]
-    # The 3 x 3 operator has a gain of 6 for white noise; 1.4826 turns a median deviation into sigma.
-    return float(1.4826 * np.median(np.abs(both)) / 6)
-
-
 def _why_nothing_found(picture: NDArray[Any], board: Board) -> str:
     reason = f"no board of {board.columns} x {board.rows} inner corners found"
     for name, end in (("largest", picture.max()), ("smallest", picture.min())):
@@ -200,3 +192,28 @@ def _why_nothing_found(picture: NDArray[Any], board: Board) -> str:
         if part > _SATURATED_PART:
             return f"{reason}; saturated: {part:.0%} of the pixels have the {name} count, {end:g}"
     return reason
+
+
+def similar_boards(picture: NDArray[Any], board: Board) -> list[tuple[int, int]]:
+    """Corner counts near those of `board` with which a board is found: the likely miscounts.
+
+    Parameters
+    ----------
+    picture
+        (rows, columns) counts, a picture in which `board` was not found.
+    board
+        The board that was looked for.
+
+    Returns
+    -------
+    list of tuple
+        (columns, rows), most often empty.
+    """
+    import cv2
+
+    if _unusable(picture):
+        return []
+    grey = _stretch(picture)
+    steps = ((-1, -1), (1, 1), (-1, 0), (0, -1), (1, 0), (0, 1))
+    sizes = [(board.columns + across, board.rows + along) for across, along in steps]
+    return [size for size in sizes if min(size) >= 3 and cv2.findChessboardCornersSB(grey, size, flags=0)[0]]

@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from thermacq.cli import common, devices, rig
+from thermacq.cli import calibration, common, devices, rig
 from thermacq.cli.plugin_commands import GroupWithPlugins
 
 app = typer.Typer(
@@ -24,6 +24,8 @@ app = typer.Typer(
 app.command("plugins")(devices.plugins)
 app.command("devices")(devices.devices)
 app.add_typer(rig.app, name="rig")
+app.command("calibrate")(calibration.calibrate)
+app.add_typer(calibration.app, name="calibration")
 
 
 @app.callback()
