@@ -11,5 +11,6 @@ from thermacq.hooks import Driver, hookimpl
 def thermacq_drivers() -> Sequence[Driver]:
     """Built-in drivers."""
     from thermacq_drivers import testpattern
+    from thermacq_drivers.simflume.drivers import DRIVERS
 
-    return (testpattern.DRIVER,)
+    return (testpattern.DRIVER, *DRIVERS)

@@ -1,1 +1,14 @@
-"""To be written."""
+"""The simulated flume: water, cameras, wave probe and trigger that behave like the laboratory's.
+
+Layers, each knowing only those above it:
+
+- `surfaces`, `regular_wave`, `cases`: the water (elevation, slope, drift, material label);
+- `optics`, `projection`: pinhole cameras, and their rays cut with the water;
+- `texture`, `chessboard`, `sensor`: what there is to see, and how a microbolometer sees it;
+- `scene`: settings of the scene put together into something that a camera can look at;
+- `camera`, `probe`, `trigger`, with `exposures`, `line`, `epoch`: devices behind `thermacq.devices`;
+- `truth`, `commands`: what the simulation knows, and the ``thermacq simulate`` commands.
+
+Flume coordinates are the world frame: origin on the still water below the left camera, X along the wave
+direction, Y across, Z up; metres and seconds.
+"""

@@ -1,0 +1,127 @@
+"""Settings of the scene (the rig's ``[scene]`` table), checked by pydantic."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from thermacq.devices import Settings
+from thermacq.errors import RigError
+from thermacq.settings import explain
+from thermacq_drivers.simflume.cases import FLUME_DEPTH_M, TABLE_II
+
+
+class Table(BaseModel):
+    """Base of all settings of the simulation: unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StillSurface(Table):
+    """Water at rest."""
+
+    kind: Literal["still"] = "still"
+
+
+class RegularSurface(Table):
+    """A regular nonlinear wave along +x: a case of Table II, or a period and a steepness."""
+
+    kind: Literal["regular"] = "regular"
+    case: str = Field("", description="name of a case of Table II, e.g. 'T0.791-H2/25'")
+    period_s: float = Field(0.0, ge=0, le=5)
+    steepness: float = Field(0.0, ge=0, description="H/lambda")
+    phase_deg: float = Field(0.0, description="phase at x = 0, t = 0; 0 puts a crest there")
+
+    @model_validator(mode="after")
+    def _one_wave(self) -> RegularSurface:
+        given = self.period_s > 0 and self.steepness > 0
+        if self.case and (self.period_s or self.steepness):
+            raise ValueError("give either a case or period_s and steepness, not both")
+        if not self.case and not given:
+            raise ValueError("give a case of Table II, or period_s and steepness, both above 0")
+        if self.case and self.case not in TABLE_II:
+            raise ValueError(f"there is no case '{self.case}' in Table II; known: {', '.join(TABLE_II)}")
+        return self
+
+    @property
+    def wave(self) -> tuple[float, float]:
+        """Period in seconds and steepness."""
+        if self.case:
+            return TABLE_II[self.case].period_s, TABLE_II[self.case].steepness
+        return self.period_s, self.steepness
+
+
+class TextureSettings(Table):
+    """Temperature pattern that floats on the water."""
+
+    rms_k: float = Field(0.3, ge=0, le=10, description="standard deviation, kelvin")
+    lengths_m: tuple[float, ...] = Field(
+        (0.003, 0.008, 0.024), min_length=1, description="correlation lengths across the flume"
+    )
+    streakiness: float = Field(2.5, ge=1, le=10, description="correlation along x over that across")
+    lifetime_s: float = Field(4.0, gt=0, description="time in which the pattern is replaced by a new one")
+
+    @model_validator(mode="after")
+    def _drawable(self) -> TextureSettings:
+        if min(self.lengths_m) < 0.002 or max(self.lengths_m) * self.streakiness > 0.2:
+            raise ValueError("lengths_m must lie between 2 mm and 0.2 m / streakiness")
+        return self
+
+
+class ChessboardSettings(Table):
+    """A heated chessboard held in front of the cameras, one pose after the other."""
+
+    columns: int = Field(9, ge=3, description="inner corners along a row")
+    rows: int = Field(6, ge=3, description="inner corners along a column")
+    square_m: float = Field(0.05, gt=0, lt=0.5)
+    contrast_k: float = Field(6.0, gt=0, description="apparent difference of the two coatings")
+    frames_per_view: int = Field(4, ge=1, description="frames for which a pose is held")
+    nearest_m: float = Field(0.45, gt=0.1)
+    farthest_m: float = Field(0.9, lt=5)
+    largest_tilt_deg: float = Field(40.0, ge=0, le=50)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> ChessboardSettings:
+        if self.nearest_m >= self.farthest_m:
+            raise ValueError("nearest_m must be less than farthest_m")
+        return self
+
+
+class SceneSettings(Table):
+    """What the simulated devices look at."""
+
+    simulator: Literal["simflume"] = "simflume"
+    view: Literal["water", "chessboard"] = "water"
+    seed: int = Field(1, ge=0, lt=2**32, description="fixes every random thing of scene and devices")
+    depth_m: float = Field(FLUME_DEPTH_M, gt=0.05)
+    water_temperature_k: float = Field(295.0, gt=273, lt=373)
+    surface: StillSurface | RegularSurface = Field(StillSurface(), discriminator="kind")
+    texture: TextureSettings = TextureSettings()
+    chessboard: ChessboardSettings = ChessboardSettings()
+
+    @model_validator(mode="after")
+    def _possible_wave(self) -> SceneSettings:
+        if isinstance(self.surface, RegularSurface):
+            from thermacq_drivers.simflume.regular_wave import solve_wave
+
+            solve_wave(*self.surface.wave, self.depth_m, math.radians(self.surface.phase_deg))
+        return self
+
+
+def parse_scene(values: Settings) -> SceneSettings:
+    """Check a ``[scene]`` table; an empty one is still water.
+
+    Raises
+    ------
+    RigError
+        Unknown keys, or a scene that physics does not allow.
+    """
+    try:
+        return SceneSettings.model_validate(dict(values))
+    except ValidationError as error:
+        raise RigError(
+            explain(error, SceneSettings, "[scene]"),
+            remedy="Mend these settings; defaults hold for what is left out.",
+        ) from None
