@@ -1,0 +1,102 @@
+"""``thermacq simulate``: ready rigs and scenes of the simulated flume, and the truth about its runs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    help="The simulated flume: ready rigs and scenes, and the truth about its runs.", no_args_is_help=True
+)
+
+
+@app.command()
+def rig() -> None:
+    """Print a rig file: two simulated cameras, a wave probe, virtual time."""
+    from thermacq_drivers.simflume.ready_made import rig_toml
+
+    sys.stdout.write(rig_toml())
+
+
+@app.command()
+def scene(
+    name: Annotated[str, typer.Argument(help="still, chessboard, or a case shown by `simulate list`.")],
+) -> None:
+    """Print a scene file for `--scene`."""
+    from thermacq_drivers.simflume.ready_made import scene_toml
+
+    sys.stdout.write(scene_toml(name))
+
+
+@app.command("list")
+def list_scenes(
+    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+) -> None:
+    """List the scenes, with the waves of Table II as theory has them."""
+    import json
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from thermacq_drivers.simflume.cases import FLUME_DEPTH_M, TABLE_II
+    from thermacq_drivers.simflume.regular_wave import solve_wave
+
+    waves = {case: solve_wave(case.period_s, case.steepness, FLUME_DEPTH_M) for case in TABLE_II.values()}
+    if as_json:
+        rows = [
+            {
+                "name": case.name,
+                "period_s": case.period_s,
+                "steepness": case.steepness,
+                "paper_height_m": case.paper_height_m,
+                "height_m": wave.height_m,
+                "length_m": wave.length_m,
+                "drift_m_s": wave.drift_m_s,
+            }
+            for case, wave in waves.items()
+        ]
+        json.dump(rows, sys.stdout, indent=2)
+        sys.stdout.write("\n")
+        return
+    table = Table("scene", "T (s)", "H/λ", "H (cm)", "H in the paper (cm)", "λ (m)", "drift (cm/s)", box=None)
+    table.add_row("still")
+    table.add_row("chessboard")
+    for case, wave in waves.items():
+        table.add_row(
+            case.name,
+            f"{case.period_s:.3f}",
+            f"{case.steepness:.4f}",
+            f"{wave.height_m * 100:.2f}",
+            f"{case.paper_height_m * 100:.2f}",
+            f"{wave.length_m:.3f}",
+            f"{wave.drift_m_s * 100:.1f}",
+        )
+    Console(highlight=False, soft_wrap=True).print(table)
+
+
+@app.command()
+def truth(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run file recorded with simulated cameras.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="NetCDF-4 file to make.")],
+    spacing_m: Annotated[
+        float, typer.Option("--spacing-m", min=0.0005, max=0.1, help="Grid spacing of the elevation.")
+    ] = 0.005,
+    dense: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--dense", help="Also depth and correspondence of each pixel of this frame; repeatable."
+        ),
+    ] = None,
+) -> None:
+    """Write what the simulation knows about a run: elevation, dense disparity, calibration, clocks."""
+    from rich.console import Console
+
+    from thermacq_drivers.simflume.truth_file import write_truth
+
+    facts = write_truth(run, output, spacing_m, dense or [])
+    Console(stderr=True, highlight=False, soft_wrap=True).print(
+        f"wrote {output}: surface {facts['surface']['kind']}"
+    )

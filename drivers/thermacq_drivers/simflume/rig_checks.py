@@ -1,0 +1,55 @@
+"""What does not fit in a rig with simulated devices; answers the hook `thermacq_rig_checks`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from thermacq.devices import TriggerMode
+from thermacq.hooks import RigFinding
+from thermacq.rig import Rig
+from thermacq_drivers.simflume.camera import CameraSettings
+from thermacq_drivers.simflume.probe import ProbeSettings
+from thermacq_drivers.simflume.trigger import TriggerSettings
+
+
+def check(rig: Rig) -> list[RigFinding]:
+    """All findings about the simulated devices of a rig."""
+    return [*_check_cameras(rig), *_check_probes(rig)]
+
+
+def _check_cameras(rig: Rig) -> Iterator[RigFinding]:
+    cameras = {
+        name: CameraSettings.model_validate(table.settings)
+        for name, table in rig.cameras.items()
+        if table.driver == "sim-camera"
+    }
+    sides = [camera.side for camera in cameras.values()]
+    if len(sides) == 2 and sides[0] == sides[1]:
+        message = f"both simulated cameras are on the {sides[0]} side: give one `side = ...` in its settings"
+        yield RigFinding("error", message)
+    source = rig.trigger_sources.get(rig.trigger.source)
+    if rig.trigger.mode is TriggerMode.HARDWARE and source is not None and source.driver == "sim-trigger":
+        line = TriggerSettings.model_validate(source.settings).line
+        for name, camera in cameras.items():
+            if camera.line != line:
+                message = f"camera '{name}' listens to line '{camera.line}', the source pulses '{line}'"
+                yield RigFinding("error", message)
+
+
+def _check_probes(rig: Rig) -> Iterator[RigFinding]:
+    for name, table in rig.probes.items():
+        if table.driver != "sim-probe":
+            continue
+        settings = ProbeSettings.model_validate(table.settings)
+        if (settings.x_m, settings.y_m) != (table.x_m, table.y_m):
+            message = (
+                f"simulated probe '{name}' stands at ({settings.x_m:g}, {settings.y_m:g}) m, "
+                f"the rig says ({table.x_m:g}, {table.y_m:g}) m"
+            )
+            yield RigFinding("warning", message)
+        if abs(table.coefficient_m_per_unit * settings.volts_per_m - 1) > 1e-6:
+            message = (
+                f"simulated probe '{name}' gives {settings.volts_per_m:g} V/m, "
+                f"the rig's coefficient is {table.coefficient_m_per_unit:g} m/V"
+            )
+            yield RigFinding("warning", message)

@@ -1,0 +1,153 @@
+"""What the simulation knows about a recording: elevation, geometry of the cameras, clocks.
+
+Answers the hook `thermacq_truth`, and writes a truth file beside a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermacq.devices import Settings
+from thermacq.hooks import Truth, TruthRequest
+from thermacq_drivers.simflume.camera import CameraSettings
+from thermacq_drivers.simflume.mounting import build_camera
+from thermacq_drivers.simflume.optics import PinholeCamera, stereo_pose
+from thermacq_drivers.simflume.probe import ProbeSettings
+from thermacq_drivers.simflume.projection import PixelGrid
+from thermacq_drivers.simflume.regular_wave import RegularWave
+from thermacq_drivers.simflume.scene import build_surface, water_points
+from thermacq_drivers.simflume.settings import parse_scene
+from thermacq_drivers.simflume.surfaces import Floats, Surface
+
+
+def is_simulated(scene: Settings, rig: Settings) -> bool:
+    """Whether this plugin simulated a recording with such a scene and rig."""
+    cameras = rig.get("cameras", {}).values()
+    ours = any(camera.get("driver") == "sim-camera" for camera in cameras)
+    return scene.get("simulator", "simflume") == "simflume" and (ours or bool(scene))
+
+
+def truth(request: TruthRequest) -> Truth | None:
+    """Answer the hook: elevation on the grid, and facts about scene and devices.
+
+    The recording's time is taken as the scene's time. That is exact in virtual time; in real time it holds
+    to the latency of the first exposure, and not at all for cameras that play a loop.
+    """
+    if not is_simulated(request.scene, request.rig):
+        return None
+    surface = build_surface(parse_scene(request.scene))
+    facts: dict[str, Any] = {"surface": surface_facts(surface)}
+    cameras = simulated_cameras(request.rig)
+    facts["clocks"] = clock_facts(request.rig)
+    if {camera.side for camera in cameras.values()} == {"left", "right"}:
+        left, right = stereo_pair(cameras)
+        facts["calibration"] = calibration_facts(left, right)
+    return Truth(elevation_on_grid(surface, request.time_s, request.x_m, request.y_m), facts)
+
+
+def elevation_on_grid(surface: Surface, time_s: Floats, x_m: Floats, y_m: Floats) -> Floats:
+    """Elevation (times, y, x) in metres."""
+    return surface.elevation(x_m[None, None, :], y_m[None, :, None], time_s[:, None, None])
+
+
+def surface_facts(surface: Surface) -> dict[str, Any]:
+    """The wave in numbers."""
+    if not isinstance(surface, RegularWave):
+        return {"kind": "still"}
+    return {
+        "kind": "regular",
+        "period_s": surface.period_s,
+        "length_m": surface.length_m,
+        "height_m": surface.height_m,
+        "steepness": surface.height_m / surface.length_m,
+        "celerity_m_s": surface.celerity_m_s,
+        "drift_m_s": surface.drift_m_s,
+        "crest_m": surface.highest_m,
+    }
+
+
+def simulated_cameras(rig: Settings) -> dict[str, CameraSettings]:
+    """Settings of the simulated cameras of a resolved rig, by name."""
+    return {
+        name: CameraSettings.model_validate(table.get("settings", {}))
+        for name, table in rig.get("cameras", {}).items()
+        if table.get("driver") == "sim-camera"
+    }
+
+
+def stereo_pair(cameras: Mapping[str, CameraSettings]) -> tuple[PinholeCamera, PinholeCamera]:
+    """The left and the right camera as they really stand."""
+    by_side = {camera.side: camera for camera in cameras.values()}
+    return build_camera(by_side["left"]), build_camera(by_side["right"])
+
+
+def calibration_facts(left: PinholeCamera, right: PinholeCamera) -> dict[str, Any]:
+    """True stereo calibration in OpenCV's conventions (x_right = R x_left + T), and the left camera's pose."""
+    rotation, translation = stereo_pose(left, right)
+    models = {
+        side: {"matrix": camera.matrix.tolist(), "distortion": camera.distortion.tolist()}
+        for side, camera in (("left", left), ("right", right))
+    }
+    return {
+        "image_size": [left.columns, left.rows],
+        **models,
+        "rotation": rotation.tolist(),
+        "translation_m": translation.tolist(),
+        "baseline_m": float(np.linalg.norm(translation)),
+        "left_camera_to_world": {
+            "rotation": left.rotation.T.tolist(),
+            "translation_m": left.centre_m.tolist(),
+        },
+    }
+
+
+def clock_facts(rig: Settings) -> dict[str, Any]:
+    """Offset and drift of each simulated device's clock against the time of the scene."""
+    clocks = {name: settings.clock for name, settings in simulated_cameras(rig).items()}
+    for name, table in rig.get("probes", {}).items():
+        if table.get("driver") == "sim-probe":
+            clocks[name] = ProbeSettings.model_validate(table.get("settings", {})).clock
+    return {name: clock.model_dump() for name, clock in clocks.items()}
+
+
+@dataclass(frozen=True)
+class Correspondence:
+    """Where the water that each pixel of the left picture sees lies; all (rows, columns) float64.
+
+    Parameters
+    ----------
+    depth_m
+        Depth along the optical axis of the left camera.
+    right_column_px, right_row_px
+        Place of the same water in the right picture, as the camera delivers it (distorted).
+    """
+
+    depth_m: Floats
+    right_column_px: Floats
+    right_row_px: Floats
+
+    @property
+    def disparity_px(self) -> Floats:
+        """Column in the left picture minus column in the right one, both as delivered."""
+        columns: NDArray[np.float64] = np.arange(self.depth_m.shape[1], dtype=np.float64)
+        return columns - self.right_column_px
+
+
+def correspondence(
+    surface: Surface, left: PinholeCamera, right: PinholeCamera, time_s: float
+) -> Correspondence:
+    """True depth and correspondence of every pixel of the left picture at a time of the scene."""
+    grid = PixelGrid(left.rows, left.columns)
+    points = water_points(surface, left, left.rays(grid.nodes_px), time_s)
+    depth = (points - left.centre_m) @ left.rotation[2]
+    seen_right = right.project(points)
+    return Correspondence(
+        depth_m=grid.spread(depth),
+        right_column_px=grid.spread(seen_right[..., 0]),
+        right_row_px=grid.spread(seen_right[..., 1]),
+    )
