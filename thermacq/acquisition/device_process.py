@@ -1,0 +1,176 @@
+"""The process of one device: makes its driver, runs it, and reports to the recorder.
+
+Vendor libraries live here and nowhere else. Whatever a driver does wrong ends this process, not the
+recording.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+import traceback
+from contextlib import suppress
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from thermacq.acquisition import priority
+from thermacq.acquisition.board import Board, Order
+from thermacq.acquisition.messages import Armed, ArmOrder, DeviceSpec, Ended, Opened, plain
+from thermacq.acquisition.outbox import Outbox
+from thermacq.acquisition.ring import FrameRing
+from thermacq.acquisition.shared import SharedBlock
+from thermacq.acquisition.streams import CameraLoop, ProbeLoop, RingHost, Station, run_trigger_source
+from thermacq.devices import (
+    Camera,
+    Device,
+    DeviceContext,
+    DeviceKind,
+    TriggerMode,
+    TriggerSource,
+    WaveProbe,
+)
+from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
+from thermacq.plugins import plugins
+from thermacq.store import EventKind
+from thermacq.timing import make_clock
+
+_POLL_S = 0.05
+_GO_POLL_S = 0.001
+_CLOSING_PATIENCE_S = 2.0
+_PROTOCOLS: dict[DeviceKind, type] = {
+    DeviceKind.CAMERA: Camera,
+    DeviceKind.WAVE_PROBE: WaveProbe,
+    DeviceKind.TRIGGER_SOURCE: TriggerSource,
+}
+
+
+def device_main(
+    spec: DeviceSpec, board: Board, block: SharedBlock, recorder: Connection, mail: Connection
+) -> None:
+    """Run a device from `open` to `close`; the target of a spawned process.
+
+    Parameters
+    ----------
+    spec
+        Which device.
+    board
+        Orders and counts shared by the recording.
+    block
+        Memory of the camera's ring; allocated by the recorder before it orders to arm.
+    recorder
+        Pipe to the recorder: orders in, `Opened`, `Armed`, `Ended` out.
+    mail
+        Pipe to the writer.
+    """
+    # Ctrl-C is the recorder's business; it stops the devices in order.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    priority.pin(spec.core)
+    outbox = Outbox(mail)
+    station = Station(spec.name, spec.index, board, make_clock(spec.clock), outbox, spec.recorder_pid)
+    fault: DeviceFault | None = None
+    try:
+        _live(spec, station, block, recorder)
+    except DeviceFault as problem:
+        fault = problem
+        station.event(_event_kind(problem), problem.last_frame, problem.what)
+    outbox.close(_CLOSING_PATIENCE_S)
+    with suppress(OSError):
+        recorder.send(Ended(fault))
+
+
+def _live(spec: DeviceSpec, station: Station, block: SharedBlock, recorder: Connection) -> None:
+    device: Device | None = None
+    stage = "open"
+    try:
+        device = _make(spec, station)
+        identity = device.open()
+        stage = "configure"
+        applied = device.configure(spec.settings)
+        recorder.send(Opened(identity, plain(dict(applied)), device.capabilities))
+        order = _wait_for_order(recorder, station)
+        if order is None:
+            return
+        stage = "arm"
+        trigger_priority = _arm(device, order, station)
+        recorder.send(Armed(trigger_priority.name if trigger_priority else ""))
+        if not _wait_for_go(station):
+            return
+        stage = "acquire"
+        _run(device, order, station, block, trigger_priority)
+    except DeviceFault:
+        raise
+    # A driver is foreign code: whatever it raises ends this device only, and is told as its fault.
+    except Exception as error:
+        traceback.print_exc()
+        raise DeviceFault(spec.name, stage, f"{type(error).__name__}: {error}") from error
+    finally:
+        if device is not None:
+            with suppress(Exception):
+                device.disarm()
+            with suppress(Exception):
+                device.close()
+
+
+def _make(spec: DeviceSpec, station: Station) -> Device:
+    driver = plugins().driver(spec.driver, spec.kind)
+    device = driver.make(DeviceContext(spec.name, station.clock, spec.scene, spec.runtime_dir))
+    if not isinstance(device, _PROTOCOLS[spec.kind]):
+        raise DeviceFault(spec.name, "open", f"driver '{spec.driver}' makes no {spec.kind.value}")
+    return device
+
+
+def _wait_for_order(recorder: Connection, station: Station) -> ArmOrder | None:
+    """Recorder's order to arm; None when it says stop instead."""
+    while not station.stopping():
+        if recorder.poll(_POLL_S):
+            order: ArmOrder = recorder.recv()
+            return order
+    return None
+
+
+def _arm(device: Device, order: ArmOrder, station: Station) -> priority.TriggerPriority | None:
+    if isinstance(device, Camera):
+        device.arm(order.mode, order.rate_hz)
+        if order.mode is TriggerMode.SOFTWARE and not station.clock.is_virtual:
+            return priority.TriggerPriority()
+    elif isinstance(device, TriggerSource):
+        device.arm(order.rate_hz, order.count)
+    else:
+        device.arm()
+    return None
+
+
+def _wait_for_go(station: Station) -> bool:
+    priority.settle()
+    while not station.stopping():
+        if station.board.order(Order.GO):
+            station.clock.start()
+            return True
+        time.sleep(_GO_POLL_S)
+    return False
+
+
+def _run(
+    device: Device,
+    order: ArmOrder,
+    station: Station,
+    block: SharedBlock,
+    trigger_priority: priority.TriggerPriority | None,
+) -> None:
+    start_ns = station.board.order(Order.START_NS)
+    station.end_ns = None if order.end_ns is None else start_ns + order.end_ns
+    if isinstance(device, Camera):
+        size = device.capabilities.rows, device.capabilities.columns
+        host = RingHost(station, FrameRing(block, *size, order.slots), np.zeros(size, np.uint16))
+        CameraLoop(device, station, host, order, trigger_priority).run(start_ns)
+    elif isinstance(device, TriggerSource):
+        run_trigger_source(device, station, start_ns)
+    else:
+        ProbeLoop(device, station).run()
+
+
+def _event_kind(fault: DeviceFault) -> EventKind:
+    if isinstance(fault, DeviceTimeout):
+        return EventKind.TIMEOUT
+    return EventKind.DISCONNECTED if isinstance(fault, DeviceDisconnected) else EventKind.NOTE
