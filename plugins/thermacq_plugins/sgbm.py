@@ -1,0 +1,155 @@
+"""Matcher ``sgbm``: OpenCV's semi-global matching, made fit for thermal water, then refined.
+
+Raw 16-bit counts are freed of shading (local mean), stretched to 8 bits by percentiles common to both
+pictures, matched, and refined to sub-pixel precision.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from thermacq_plugins.refinement import Picture, normalise, refine, remove_local_mean
+
+_MODES = {
+    "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
+    "hh": cv2.STEREO_SGBM_MODE_HH,
+}
+_SUBPIXEL = 16
+
+
+class SgbmSettings(BaseModel):
+    """Settings of semi-global matching."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    min_disparity: int | None = Field(
+        None, ge=-2048, le=2048, description="pixels, may be negative; unset: found from the run, else 0"
+    )
+    max_disparity: int | None = Field(
+        None, ge=-2048, le=2048, description="pixels; unset: found from the run, else a quarter of the width"
+    )
+    mode: Literal["3way", "sgbm", "hh"] = Field("3way", description="3, 5 or 8 directions")
+    block_size: int = Field(7, ge=1, le=21, description="pixels, odd")
+    uniqueness_percent: int = Field(10, ge=0, le=100)
+    left_right_px: int = Field(1, ge=-1, description="largest left-right difference; -1: no check")
+    speckle_size_px: int = Field(100, ge=0, description="smaller islands are dropped; 0: none")
+    speckle_range_px: int = Field(2, ge=1)
+    stretch_percent: float = Field(0.5, ge=0, lt=50, description="share clipped at either end of the stretch")
+    local_mean_px: int = Field(51, ge=0, description="window of the local mean taken out; 0: none")
+    presmooth_px: float = Field(1.0, ge=0, le=10, description="Gaussian against noise before matching")
+    refine: bool = Field(True, description="refine to sub-pixel precision")
+    refine_sigma_px: float = Field(6.0, ge=2, le=50, description="Gaussian window of the refinement")
+    min_correlation: float = Field(0.35, ge=-1, le=1, description="of the refined windows, else NaN")
+
+    @model_validator(mode="after")
+    def _check(self) -> SgbmSettings:
+        if self.block_size % 2 == 0:
+            message = "block_size must be odd"
+            raise ValueError(message)
+        if (
+            self.min_disparity is not None
+            and self.max_disparity is not None
+            and self.max_disparity <= self.min_disparity
+        ):
+            message = "max_disparity must be greater than min_disparity"
+            raise ValueError(message)
+        return self
+
+
+class SgbmMatcher:
+    """Semi-global matching with refinement."""
+
+    def __init__(self, settings: SgbmSettings) -> None:
+        self._settings = settings
+
+    def match(self, left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Disparity of the left picture; see `thermacq.hooks.DisparityMatcher`."""
+        settings = self._settings
+        disparity = self._semi_global(*stretch(left, right, settings))
+        disparity[~(np.isfinite(left) & _matched_pixel_known(right, disparity))] = np.nan
+        if not settings.refine:
+            return disparity
+        return refine(
+            normalise(left),
+            normalise(right),
+            disparity,
+            sigma_px=settings.refine_sigma_px,
+            min_correlation=settings.min_correlation,
+        )
+
+    def _semi_global(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Picture:
+        """Disparity in steps of 1/16 px; NaN where OpenCV found none or it points outside the picture."""
+        settings = self._settings
+        columns = left.shape[1]
+        lowest = 0 if settings.min_disparity is None else settings.min_disparity
+        highest = lowest + columns // 4 if settings.max_disparity is None else settings.max_disparity
+        count = 16 * max(1, -(-(highest - lowest + 1) // 16))
+        # OpenCV gives no disparity to columns whose search would leave the picture; a margin brings back
+        # those whose match is still inside.
+        before, after = max(0, lowest + count), max(0, -lowest)
+        padded = [
+            cv2.copyMakeBorder(picture, 0, 0, before, after, cv2.BORDER_REPLICATE)
+            for picture in (left, right)
+        ]
+        block_area = settings.block_size**2
+        matcher = cv2.StereoSGBM.create(
+            minDisparity=lowest,
+            numDisparities=count,
+            blockSize=settings.block_size,
+            P1=8 * block_area,
+            P2=32 * block_area,
+            disp12MaxDiff=settings.left_right_px,
+            preFilterCap=31,
+            uniquenessRatio=settings.uniqueness_percent,
+            speckleWindowSize=settings.speckle_size_px,
+            speckleRange=settings.speckle_range_px,
+            mode=_MODES[settings.mode],
+        )
+        found = matcher.compute(*padded)[:, before : before + columns]
+        disparity = np.asarray(found / np.float32(_SUBPIXEL), np.float32)
+        disparity[(found < _SUBPIXEL * lowest) | (disparity > highest + 1)] = np.nan
+        matched = np.arange(columns, dtype=np.float32) - disparity
+        disparity[(matched < 0) | (matched > columns - 1)] = np.nan
+        return disparity
+
+
+def stretch(
+    left: Picture, right: Picture, settings: SgbmSettings
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Both pictures to 8 bits by common percentiles; NaN pixels become mid-grey."""
+    pictures = [_prepare(picture, settings) for picture in (left, right)]
+    shown = [p[np.isfinite(raw)][::7] for p, raw in zip(pictures, (left, right), strict=True)]
+    valid = np.concatenate([*shown, np.zeros(1, np.float32)])
+    low, high = np.percentile(valid, (settings.stretch_percent, 100.0 - settings.stretch_percent))
+    scale = 255.0 / max(float(high - low), 1e-6)
+    grey = [np.clip((p - np.float32(low)) * np.float32(scale), 0, 255).astype(np.uint8) for p in pictures]
+    return grey[0], grey[1]
+
+
+def _prepare(picture: Picture, settings: SgbmSettings) -> Picture:
+    if settings.local_mean_px:
+        flat = remove_local_mean(picture, settings.local_mean_px)
+    else:
+        valid = np.isfinite(picture)
+        level = np.median(picture[valid]) if valid.any() else 0.0
+        flat = np.where(valid, picture, level).astype(np.float32, copy=False)
+    if settings.presmooth_px:
+        flat = np.asarray(cv2.GaussianBlur(flat, (0, 0), settings.presmooth_px), np.float32)
+    return flat
+
+
+def _matched_pixel_known(right: Picture, disparity: Picture) -> NDArray[np.bool_]:
+    """Whether the pixel of the right picture that each disparity points to is a picture at all."""
+    known = np.isfinite(disparity)
+    columns = np.arange(right.shape[1]) - np.where(known, np.rint(np.nan_to_num(disparity)), 0)
+    matched = np.take_along_axis(
+        np.isfinite(right), columns.astype(np.intp).clip(0, right.shape[1] - 1), axis=1
+    )
+    result: NDArray[np.bool_] = known & matched
+    return result

@@ -1,0 +1,103 @@
+"""What is reconstructed: a run, its pairs, its calibration and the complete settings of the matcher."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from thermacq import __version__
+from thermacq.reconstruction.matching import MatchingJob, PairReader, complete_settings
+from thermacq.reconstruction.pairs import RunPairs, find_calibration, run_pairs, select_frames
+from thermacq.rig import Rig
+from thermacq.store import RunHeader, open_run
+from thermacq_calibration import Rectification, StereoCalibration
+
+
+@dataclass(frozen=True)
+class Source:
+    """A run ready to be matched; make it with `open_source`."""
+
+    run_path: Path
+    run_sha256: str
+    header: RunHeader
+    rig: Rig
+    calibration: StereoCalibration
+    rectification: Rectification
+    pairs: RunPairs
+    matcher: str
+    settings: dict[str, Any]
+
+    def job(self, pairs: RunPairs) -> MatchingJob:
+        """What worker processes need to match some of the pairs."""
+        return MatchingJob(self.run_path, self.calibration.to_dict(), self.matcher, self.settings, pairs)
+
+    def provenance(self) -> dict[str, Any]:
+        """Where a product of this source comes from, as plain values."""
+        return {
+            "run": self.run_path.name,
+            "run_id": self.header.run_id,
+            "run_sha256": self.run_sha256,
+            "calibration_sha256": self.calibration.sha256,
+            "matcher": self.matcher,
+            "matcher_settings": self.settings,
+            "simulated": self.header.simulated,
+            "thermacq_version": __version__,
+        }
+
+    def key(self, pairs: RunPairs, **more: Any) -> str:
+        """Short hash of everything that a result depends on; names the folder of its parts."""
+        content = {
+            **self.provenance(),
+            "pairs": [pairs.left.tolist(), pairs.right.tolist()],
+            **more,
+        }
+        text = json.dumps(content, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def open_source(
+    run_path: Path,
+    *,
+    calibration: Path | None = None,
+    frames: str | None = None,
+    matcher: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Source:
+    """Check that a run can be reconstructed and complete the settings.
+
+    Parameters
+    ----------
+    run_path
+        The run file.
+    calibration
+        Calibration record; None: the one stored with the run.
+    frames
+        Range of pairs ``A:B``; None: all.
+    matcher
+        Name of the matcher; None: the rig's.
+    settings
+        Its settings, over those of the rig when the matcher is the rig's.
+
+    Raises
+    ------
+    ThermacqError
+        Something is missing, damaged or does not fit.
+    thermacq_calibration.CalibrationError
+        The calibration record is damaged, or of a rig that cannot be rectified.
+    """
+    with open_run(run_path) as run:
+        rig = run.rig
+        record = find_calibration(run, calibration)
+        pairs = select_frames(run_pairs(run), frames)
+        header, run_sha256 = run.header, run.sha256()
+    table = rig.reconstruction
+    name = matcher or table.matcher
+    wanted = {**(table.matcher_settings if name == table.matcher else {}), **(settings or {})}
+    with PairReader(run_path, record, pairs) as reader:
+        complete = complete_settings(reader, len(pairs), name, wanted)
+        rectification = reader.rectification
+    return Source(run_path, run_sha256, header, rig, record, rectification, pairs, name, complete)
