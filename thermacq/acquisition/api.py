@@ -56,6 +56,11 @@ class Session:
         finally:
             watcher.close()
 
+    def wait(self) -> None:
+        """Wait until the recorder is gone."""
+        while self._lives():
+            time.sleep(_POLL_S / 10)
+
     def result(self) -> RecordingResult:
         """Wait for the end of the recording and say how it went; its folder is removed.
 
@@ -64,8 +69,7 @@ class Session:
         ThermacqError
             What kept the recording from starting, or from being written to the end.
         """
-        while self._lives():
-            time.sleep(_POLL_S / 10)
+        self.wait()
         result = control.read_json(self.folder / control.RESULT)
         log = self.folder / control.LOG
         last_words = log.read_text(errors="replace").strip()[-500:] if log.exists() else ""

@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from thermacq.cli import calibration, common, devices, rig
+from thermacq.cli import calibration, common, devices, reconstruction, recording, rig
 from thermacq.cli.plugin_commands import GroupWithPlugins
 
 app = typer.Typer(
@@ -24,8 +24,14 @@ app = typer.Typer(
 app.command("plugins")(devices.plugins)
 app.command("devices")(devices.devices)
 app.add_typer(rig.app, name="rig")
+app.command("record")(recording.record)
+app.command("status")(recording.status)
+app.command("stop")(recording.stop)
 app.command("calibrate")(calibration.calibrate)
 app.add_typer(calibration.app, name="calibration")
+app.command("still-water")(reconstruction.still_water)
+app.command("reconstruct")(reconstruction.reconstruct)
+app.command("disparity")(reconstruction.disparity)
 
 
 @app.callback()
