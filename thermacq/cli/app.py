@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from thermacq.cli import calibration, common, devices, reconstruction, recording, rig
+from thermacq.cli import calibration, common, devices, evaluation, reconstruction, recording, rig
 from thermacq.cli.plugin_commands import GroupWithPlugins
 
 app = typer.Typer(
@@ -32,6 +32,10 @@ app.add_typer(calibration.app, name="calibration")
 app.command("still-water")(reconstruction.still_water)
 app.command("reconstruct")(reconstruction.reconstruct)
 app.command("disparity")(reconstruction.disparity)
+app.command("waves")(evaluation.waves)
+app.command("compare")(evaluation.compare)
+app.command("report")(evaluation.report)
+app.command("export")(evaluation.export)
 
 
 @app.callback()

@@ -44,7 +44,9 @@ _STYLE: dict[Any, Any] = {
     "grid.alpha": 0.25,
     "axes.grid": True,
     "legend.frameon": False,
-    "savefig.transparent": True,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
 }
 _MAX_LINE_POINTS = 3000
 _MAX_SCATTER_POINTS = 2000

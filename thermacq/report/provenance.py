@@ -1,0 +1,125 @@
+"""Where a product comes from, as sections of name and value for the report."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from thermacq import __version__
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from thermacq.evaluation.probes import ProbeRecord
+    from thermacq.evaluation.run_comparison import RunComparison
+    from thermacq.reconstruction import Source
+
+
+def json_attribute(dataset: xr.Dataset, name: str, *, default: Any) -> Any:
+    """Value of an attribute that was stored as JSON; the default when it is missing or is none."""
+    try:
+        return json.loads(dataset.attrs[name])
+    except (KeyError, TypeError, ValueError):
+        return default
+
+
+def provenance(
+    path: Path, dataset: xr.Dataset, source: Source | None, compared: RunComparison | None
+) -> dict[str, dict[str, str]]:
+    """Sections of name and value: product, run, calibration, matcher, world frame, probes.
+
+    Parameters
+    ----------
+    path, dataset
+        The product.
+    source
+        Its run, as far as it could be opened.
+    compared
+        The probes.
+    """
+    attributes = dataset.attrs
+    sections = {
+        "Product": {
+            "file": path.name,
+            "SHA-256": _sha256(path),
+            "frames": str(dataset.sizes["time"]),
+            "grid": f"{dataset.sizes['y']} × {dataset.sizes['x']} cells of {_spacing_mm(dataset):.3g} mm",
+            "minimum points in a cell": str(attributes.get("min_points_per_cell", "unknown")),
+            "made by": f"thermacq {attributes.get('thermacq_version', 'unknown')}",
+            "report by": f"thermacq {__version__}",
+        },
+        "Run": {
+            "file": str(attributes.get("run", "unknown")),
+            "id": str(attributes.get("run_id", "unknown")),
+            "SHA-256": str(attributes.get("run_sha256", "unknown")),
+            "simulated": "yes" if json_attribute(dataset, "simulated", default=False) else "no",
+            "pairs left out": str(attributes.get("pairs_left_out", "unknown")),
+        },
+        "Calibration": {
+            "SHA-256": str(attributes.get("calibration_sha256", "unknown")),
+            "baseline": f"{1000 * float(attributes.get('baseline_m', 'nan')):.3f} mm",
+            "focal length": f"{float(attributes.get('focal_px', 'nan')):.2f} px",
+        },
+        "Matcher": {
+            "name": str(attributes.get("matcher", "unknown")),
+            **_settings(json_attribute(dataset, "matcher_settings", default={})),
+        },
+        "World frame": _world(dataset),
+    }
+    if source is not None:
+        header = source.header
+        sections["Run"] |= {
+            "title": header.title,
+            "start": header.start_time,
+            "clock": header.clock,
+            **{f"version of {name}": version for name, version in header.versions.items()},
+        }
+        sections["Calibration"] |= {
+            "stereo reprojection error": f"{source.calibration.rms_px:.3f} px",
+            "source": source.calibration.source,
+            "made": source.calibration.created,
+        }
+    for probe in compared.probes if compared else ():
+        sections[f"Probe {probe.name}"] = _probe(probe)
+    return sections
+
+
+def _world(dataset: xr.Dataset) -> dict[str, str]:
+    values = json_attribute(dataset, "world_frame", default={})
+    return {
+        "definition": str(dataset.attrs.get("world", "unknown")),
+        "from": str(dataset.attrs.get("world_frame_from", "unknown")),
+        "camera height": f"{float(dataset.attrs.get('camera_height_m', 'nan')):.4f} m",
+        "single-frame σ on still water": f"{1000 * float(dataset.attrs.get('still_water_sigma_m', 'nan')):.3f} mm",
+        "rotation": json.dumps(values.get("rotation", "unknown")),
+        "translation": json.dumps(values.get("translation_m", "unknown")),
+    }
+
+
+def _probe(probe: ProbeRecord) -> dict[str, str]:
+    clock = probe.clock
+    return {
+        "place": f"x = {probe.x_m:.4f} m, y = {probe.y_m:.4f} m",
+        "channel": f"{probe.channel} ({probe.unit})",
+        "coefficient": f"{probe.coefficient_m_per_unit:.6g} m per {probe.unit or 'unit'}",
+        "its uncertainty (k = 2)": f"{200 * probe.coefficient_u_rel:.2f} %",
+        "zero": f"{probe.zero_raw:.6g} {probe.unit}, from: {probe.zero_source}",
+        "clock": f"{clock.method}, drift {clock.drift_ppm:+.2f} ppm, residual {clock.residual_ns / 1000:.3g} µs",
+        "lost samples": str(probe.lost_samples),
+    }
+
+
+def _settings(values: Any) -> dict[str, str]:
+    return {str(name): str(value) for name, value in values.items()} if isinstance(values, dict) else {}
+
+
+def _spacing_mm(dataset: xr.Dataset) -> float:
+    x = dataset["x"].to_numpy()
+    return 1000 * float(x[1] - x[0]) if x.size > 1 else float("nan")
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
