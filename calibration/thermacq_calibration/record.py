@@ -182,7 +182,7 @@ class StereoCalibration:
                 f"this is no stereo calibration (its format is {record.value('format')!r}, not '{FORMAT}')",
                 remedy="Give a file made by `thermacq calibrate` or `thermacq calibration rectified`.",
             )
-        if record.value("version") != VERSION:
+        if record.integer("version") != VERSION:
             raise CalibrationError(
                 f"calibration version {record.value('version')!r} is not known; this program reads {VERSION}",
                 remedy="Use the program version that wrote it, or calibrate again.",

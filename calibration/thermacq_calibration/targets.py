@@ -1,8 +1,8 @@
 """Find the corners of a chessboard in thermal pictures, or say in words why there are none.
 
-The recipe was chosen on synthetic thermal boards (docs/reference/calibration.md): mean of up to 16 frames,
-stretched between its percentiles 1 and 99 to 8 bit, sector-based detector; then an exhaustive search; then
-the inverted picture. No upsampling, no sharpening: both move corners.
+The recipe was chosen on synthetic thermal boards: mean of up to 16 frames, stretched between its percentiles
+1 and 99 to 8 bit, sector-based detector; then an exhaustive search; then the inverted picture. Where a board
+is found, the detector runs again at its finer setting. docs/reference/calibration.md has the figures.
 
 Corners are returned in one order that depends on the board alone, so that both cameras start at the same
 physical corner: along the columns, right-handed as seen by the camera, and starting at the end where the
@@ -144,9 +144,10 @@ def _find_corners(grey: Bytes, board: Board) -> Float | None:
 
     size = (board.columns, board.rows)
     for image, flags in ((grey, 0), (grey, cv2.CALIB_CB_EXHAUSTIVE), (255 - grey, 0)):
-        found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
+        found, coarse = cv2.findChessboardCornersSB(image, size, flags=flags)
         if found:
-            return np.asarray(corners, np.float64).reshape(-1, 2)
+            again, fine = cv2.findChessboardCornersSB(image, size, flags=flags | cv2.CALIB_CB_ACCURACY)
+            return np.asarray(fine if again else coarse, np.float64).reshape(-1, 2)
     return None
 
 
