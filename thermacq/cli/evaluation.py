@@ -181,12 +181,15 @@ def _must_be_new(path: Path) -> None:
 
 def _show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     from rich.markup import escape
+    from rich.measure import Measurement
     from rich.table import Table
 
     table = Table(*(escape(column) for column in columns), box=None, pad_edge=False)
     for row in rows:
         table.add_row(*(escape(cell) for cell in row))
-    out.print(table)
+    # A table is never squeezed: in a file or a narrow terminal, long lines read better than broken cells.
+    width = Measurement.get(out, out.options.update(max_width=10_000), table).maximum
+    out.print(table, width=width, crop=False)
 
 
 def _comparison_values(comparison: Comparison) -> dict[str, Any]:
