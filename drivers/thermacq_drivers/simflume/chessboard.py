@@ -21,7 +21,7 @@ from thermacq_drivers.simflume.settings import ChessboardSettings
 from thermacq_drivers.simflume.surfaces import Floats
 
 _OVERSAMPLE = 4
-_MARGIN_SQUARES = 0.6
+_MARGIN_SQUARES = 0.35
 # Part of the outer squares that must be inside both pictures, so that the outer corners can be found.
 _FRAME_SQUARES = 0.6
 # Width of the coated rim around the squares.

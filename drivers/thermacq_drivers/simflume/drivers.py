@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from thermacq.devices import Camera, DeviceContext, DeviceKind, TriggerSource, WaveProbe
+from thermacq.errors import DeviceDisconnected, DeviceOverrun, DeviceTimeout, IncompleteFrame
 from thermacq.hooks import Driver, Evidence
 
 if TYPE_CHECKING:
@@ -55,6 +56,12 @@ DRIVERS = (
         evidence=Evidence.SIMULATED,
         make=_camera,
         settings=_camera_settings,
+        faults={
+            DeviceDisconnected: {"fail_at_frame": 3},
+            DeviceTimeout: {"stall_at_frame": 3, "timeout_s": 0.3},
+            IncompleteFrame: {"incomplete_at_frame": 3},
+            DeviceOverrun: {"overrun_at_frame": 3},
+        },
     ),
     Driver(
         name="sim-probe",
@@ -63,6 +70,10 @@ DRIVERS = (
         evidence=Evidence.SIMULATED,
         make=_probe,
         settings=_probe_settings,
+        faults={
+            DeviceDisconnected: {"fail_at_s": 0.5},
+            DeviceTimeout: {"silent_from_s": 0.5, "timeout_s": 0.3},
+        },
     ),
     Driver(
         name="sim-trigger",
@@ -71,5 +82,6 @@ DRIVERS = (
         evidence=Evidence.SIMULATED,
         make=_trigger,
         settings=_trigger_settings,
+        faults={DeviceDisconnected: {"fail_at_pulse": 3}},
     ),
 )

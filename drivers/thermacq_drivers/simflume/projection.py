@@ -8,16 +8,22 @@ converges spectrally: with the default nodes its error is far below the 0.001 px
 from __future__ import annotations
 
 import itertools
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermacq_drivers.simflume.optics import PinholeCamera
 from thermacq_drivers.simflume.surfaces import Floats, Surface
+
+_Real = TypeVar("_Real", np.float32, np.float64)
 
 NODE_ROWS = 64
 NODE_COLUMNS = 32
 _STEPS = 50
 _TOLERANCE_M = 1e-12
+_SMALL_PRODUCT = 200_000
+# Multiplications up to which OpenBLAS stays in one thread (it splits above 2^18).
 _GRAZING = 0.15
 # A ray must be at least this much steeper (vertical per horizontal) than the water, or it may cut it twice.
 
@@ -46,13 +52,36 @@ class PixelGrid:
         row_nodes, self._to_rows = _interpolation(rows, node_rows, oversample)
         column_nodes, to_columns = _interpolation(columns, node_columns, oversample)
         self._to_columns = np.ascontiguousarray(to_columns.T)
+        self._to_rows_single = self._to_rows.astype(np.float32)
+        self._to_columns_single = self._to_columns.astype(np.float32)
         self.nodes_px: Floats = np.stack(np.meshgrid(column_nodes, row_nodes), axis=-1)
         """(node rows, node columns, 2) column and row of each node."""
 
     def spread(self, at_nodes: Floats, rows: slice = slice(None)) -> Floats:
         """Values at the nodes to values at the pixels: (node rows, node columns) to (rows, columns)."""
-        at_pixels: Floats = self._to_rows[rows] @ at_nodes @ self._to_columns
+        return _product(self._to_rows[rows], at_nodes, self._to_columns)
+
+    def spread_single(self, at_nodes: Floats) -> NDArray[np.float32]:
+        """Like `spread`, in single precision: twice as fast, good to about 5e-7 of the values' range."""
+        middle = at_nodes.mean()
+        centred = (at_nodes - middle).astype(np.float32)
+        at_pixels = _product(self._to_rows_single, centred, self._to_columns_single)
+        at_pixels += np.float32(middle)
         return at_pixels
+
+
+def _product(left: NDArray[_Real], middle: NDArray[_Real], right: NDArray[_Real]) -> NDArray[_Real]:
+    """Matrix product of three, in blocks of rows too small for BLAS to start threads.
+
+    Threads that wait for each other while both cameras draw on few cores cost a hundred times the product.
+    """
+    rows, block = len(left), max(1, _SMALL_PRODUCT // right.size)
+    whole = rows // block * block
+    product = np.empty((rows, right.shape[1]), left.dtype)
+    blocks = left[:whole].reshape(-1, block, left.shape[1]) @ middle
+    np.matmul(blocks, right, out=product[:whole].reshape(-1, block, right.shape[1]))
+    product[whole:] = left[whole:] @ middle @ right
+    return product
 
 
 def _interpolation(size: int, count: int, oversample: int) -> tuple[Floats, Floats]:

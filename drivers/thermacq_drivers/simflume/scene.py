@@ -15,7 +15,7 @@ from thermacq_drivers.simflume.projection import PixelGrid, check_view, intersec
 from thermacq_drivers.simflume.regular_wave import solve_wave
 from thermacq_drivers.simflume.settings import RegularSurface, SceneSettings
 from thermacq_drivers.simflume.surfaces import Floats, StillWater, Surface
-from thermacq_drivers.simflume.texture import ThermalTexture
+from thermacq_drivers.simflume.texture import ThermalTexture, grid_place
 
 
 def build_surface(settings: SceneSettings) -> Surface:
@@ -76,7 +76,8 @@ class WaterView:
         """Apparent temperature; see `View.temperature`."""
         points = water_points(self._surface, self._camera, self._rays, time_s)
         label_x, label_y = self._surface.label(points[..., 0], points[..., 1], time_s)
-        seen = self._texture.sample(self._grid.spread(label_x), self._grid.spread(label_y), time_s)
+        rows, columns = (self._grid.spread_single(grid_place(label)) for label in (label_x, label_y))
+        seen = self._texture.sample(rows, columns, time_s)
         seen += self._mean_k
         return seen
 

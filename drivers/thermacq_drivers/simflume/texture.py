@@ -22,7 +22,8 @@ from thermacq_drivers.simflume.surfaces import Floats
 _COARSE = 1024
 _REFINEMENT = 4
 _SPACING_M = 0.00025
-PERIOD_M = _COARSE * _REFINEMENT * _SPACING_M
+_SIZE = _COARSE * _REFINEMENT
+PERIOD_M = _SIZE * _SPACING_M
 """The pattern repeats after this distance, 1.024 m, along both label coordinates."""
 
 
@@ -42,13 +43,15 @@ class ThermalTexture:
         self._lifetime_s = settings.lifetime_s
         self._seed = seed
 
-    def sample(self, label_x_m: Floats, label_y_m: Floats, time_s: float) -> NDArray[np.float32]:
-        """Temperature deviation of labelled water.
+    def sample(
+        self, rows: NDArray[np.float32], columns: NDArray[np.float32], time_s: float
+    ) -> NDArray[np.float32]:
+        """Temperature deviation at places of the grid.
 
         Parameters
         ----------
-        label_x_m, label_y_m
-            (rows, columns) float64, material labels in metres.
+        rows, columns
+            (rows, columns) float32, places given by `grid_place` for the labels along x and along y.
         time_s
             Time of the scene.
 
@@ -59,26 +62,43 @@ class ThermalTexture:
         """
         age, fraction = divmod(time_s / self._lifetime_s, 1.0)
         angle = 0.5 * np.pi * fraction
-        old = self._sample_field(int(age), label_x_m, label_y_m)
-        new = self._sample_field(int(age) + 1, label_x_m, label_y_m)
+        old = self._sample_field(int(age), rows, columns)
+        new = self._sample_field(int(age) + 1, rows, columns)
         old *= np.float32(np.cos(angle))
         new *= np.float32(np.sin(angle))
         old += new
         return old
 
-    def _sample_field(self, number: int, label_x_m: Floats, label_y_m: Floats) -> NDArray[np.float32]:
+    def _sample_field(
+        self, number: int, rows: NDArray[np.float32], columns: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
         # `number` may be -1 just before the scene starts; seeds must not be negative.
-        shift = generator(self._seed, "texture shift", number % 2**32).uniform(0, PERIOD_M, 2)
-        columns, rows = _grid_place(label_y_m, shift[0]), _grid_place(label_x_m, shift[1])
-        sampled = cv2.remap(self._field, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        random = generator(self._seed, "texture shift", number % 2**32)
+        down, right = random.uniform(0, _SIZE, 2)
+        sampled = cv2.remap(
+            self._field,
+            _shifted(columns, right),
+            _shifted(rows, down),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_WRAP,
+        )
         return np.asarray(sampled, np.float32)
 
 
-def _grid_place(label_m: Floats, shift_m: float) -> NDArray[np.float32]:
-    """Place on the grid, brought near to zero so that float32 resolves 0.0002 of its spacing."""
-    place = (label_m + shift_m) / PERIOD_M
-    place -= np.floor(place.min())
-    return (place * (PERIOD_M / _SPACING_M)).astype(np.float32)
+def _shifted(place: NDArray[np.float32], shift: float) -> NDArray[np.float32]:
+    """Shifted places within the grid: OpenCV can wrap them too, but far more slowly."""
+    shifted = place + np.float32(shift)
+    periods = np.floor(shifted * np.float32(1 / _SIZE))
+    periods *= np.float32(_SIZE)
+    shifted -= periods
+    return shifted
+
+
+def grid_place(label_m: Floats) -> Floats:
+    """Place of labels on the texture's grid, brought near to zero by whole periods."""
+    periods = label_m / PERIOD_M
+    place: Floats = (periods - np.floor(periods.min())) * _SIZE
+    return place
 
 
 def _random_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
@@ -99,9 +119,9 @@ def _random_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
     spectrum *= np.sqrt(power)
     # Zero-padding the spectrum refines the grid without changing the field.
     half = _COARSE // 2
-    fine = np.zeros((_COARSE * _REFINEMENT, _COARSE * _REFINEMENT // 2 + 1), spectrum.dtype)
+    fine = np.zeros((_SIZE, _SIZE // 2 + 1), spectrum.dtype)
     fine[:half, : half + 1] = spectrum[:half]
     fine[-half:, : half + 1] = spectrum[half:]
-    field = fft.irfft2(fine, s=(fine.shape[0],) * 2, overwrite_x=True)
+    field = fft.irfft2(fine, s=(_SIZE, _SIZE), overwrite_x=True)
     field *= settings.rms_k / max(float(field.std()), 1e-30)
     return np.ascontiguousarray(field, np.float32)
