@@ -10,9 +10,21 @@ from __future__ import annotations
 import mmap
 import os
 from multiprocessing.reduction import DupFd
+from pathlib import Path
 from typing import Any
 
 from thermacq.errors import AcquisitionError
+
+_LARGEST_PART = 0.8
+
+
+def available_bytes() -> int:
+    """Memory that can be had without swapping."""
+    for line in Path("/proc/meminfo").read_text().splitlines():
+        name, _, value = line.partition(":")
+        if name == "MemAvailable":
+            return int(value.split()[0]) * 1024
+    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 class SharedBlock:
@@ -27,15 +39,16 @@ class SharedBlock:
         Raises
         ------
         AcquisitionError
-            There is not enough memory; asking for all of it now avoids a crash when a page is first used.
+            There is not enough memory.
         """
-        try:
-            os.posix_fallocate(self._fd, 0, size)
-        except OSError as error:
+        # Asked first, because the system would rather kill processes than refuse memory.
+        if size > _LARGEST_PART * available_bytes():
             raise AcquisitionError(
-                f"there is no room in memory for a ring of {size / 1e6:.0f} MB: {error.strerror}",
+                f"there is no room in memory for a ring of {size / 1e6:.0f} MB",
                 remedy="Shorten `ring_s` in the rig's [store] table, or close other programs.",
-            ) from None
+            )
+        # All pages at once: no fault, and no surprise, when a frame comes.
+        os.posix_fallocate(self._fd, 0, size)
 
     def map(self) -> mmap.mmap:
         """Map the whole block, readable and writable."""

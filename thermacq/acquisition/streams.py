@@ -316,7 +316,7 @@ class ProbeLoop:
                 continue
             try:
                 block = check_block(block, len(self._probe.capabilities.channels))
-            except ValueError as error:
+            except (ValueError, TypeError) as error:
                 station.lost(Cell.INCOMPLETE, EventKind.INCOMPLETE, 1, self._next_index, f"garbage: {error}")
                 continue
             samples = block.ticks.size
@@ -330,8 +330,10 @@ class ProbeLoop:
             station.outbox.post_patiently(Samples(block), station.ordered_to_stop)
 
 
-def check_block(block: SampleBlock, channels: int) -> SampleBlock:
-    """A block with proper arrays; raises `ValueError` saying what is wrong with it."""
+def check_block(block: object, channels: int) -> SampleBlock:
+    """A block with proper arrays; raises `ValueError` or `TypeError` saying what is wrong."""
+    if not isinstance(block, SampleBlock):
+        raise ValueError(f"a {type(block).__name__} instead of a block of samples")
     values = np.asarray(block.values, np.float64)
     ticks = np.asarray(block.ticks, np.int64)
     pulses = np.asarray(block.pulse_ticks, np.int64)
