@@ -1,16 +1,14 @@
 """Reading a run file, also one whose writer was killed, and also one that is not to be trusted.
 
-Only hard links to plain groups and datasets inside the file are followed. Types, shapes and sizes are
-compared with what a run file must have before anything is read, so that a hostile file cannot make the
-reader allocate more than the file itself is worth. Everything wrong is a `StoreError`.
+Types, shapes and sizes are compared with what a run file must have before anything is read, so that a
+hostile file cannot make the reader allocate more than the file itself is worth. Everything wrong is a
+`StoreError`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -21,7 +19,7 @@ from pydantic import ValidationError
 
 from thermacq.errors import StoreError
 from thermacq.rig import Rig
-from thermacq.store import layout
+from thermacq.store import layout, untrusted
 from thermacq.store.codec import BLOSC_FILTER, Compression, compression_of, decode_frame
 from thermacq.store.records import (
     CameraStream,
@@ -36,22 +34,8 @@ from thermacq.store.records import (
 if TYPE_CHECKING:
     import h5py
 
-_MAX_TEXT_BYTES = 64 * 1024 * 1024
 _MAX_PIXELS = 1 << 28
 _MAX_DEVICES = 256
-# What h5py and the parsers may raise on a damaged file; anything else is a bug of ours.
-_DAMAGE = (
-    OSError,
-    RuntimeError,
-    KeyError,
-    ValueError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    MemoryError,
-    RecursionError,
-    NotImplementedError,
-)
 
 
 @dataclass(frozen=True)
@@ -90,26 +74,26 @@ class RunFile:
     def __init__(self, path: Path, file: h5py.File) -> None:
         self.path = path
         self._file = file
-        entry = _group(file, layout.ENTRY)
-        details = _group(entry, layout.DETAILS)
-        version = _scalar(details, "format_version")
+        entry = untrusted.get_group(file, layout.ENTRY)
+        details = untrusted.get_group(entry, layout.DETAILS)
+        version = untrusted.get_scalar(details, "format_version")
         if version != layout.FORMAT_VERSION:
             raise StoreError(f"'{path}' has format version {version}; this program reads 1")
         self._details = details
         self.header = RunHeader(
-            **_json(details, "header"),
-            rig=_json(details, "rig"),
-            calibration=_json(details, "calibration"),
-            versions=_json(details, "versions"),
+            **untrusted.get_json(details, "header"),
+            rig=untrusted.get_json(details, "rig"),
+            calibration=untrusted.get_json(details, "calibration"),
+            versions=untrusted.get_json(details, "versions"),
         )
-        self.complete = _scalar(details, "finished") == 1
-        self.end_reason = _text(details, "end_reason")
-        self.end_time = _text(entry, "end_time")
+        self.complete = untrusted.get_scalar(details, "finished") == 1
+        self.end_reason = untrusted.get_text(details, "end_reason")
+        self.end_time = untrusted.get_text(entry, "end_time")
         file_bytes = path.stat().st_size
-        streams = _json(details, "streams")
+        streams = untrusted.get_json(details, "streams")
         if len(streams["cameras"]) + len(streams["probes"]) > _MAX_DEVICES:
             raise StoreError(f"'{path}' claims more than {_MAX_DEVICES} devices")
-        instrument = _group(entry, "instrument")
+        instrument = untrusted.get_group(entry, "instrument")
         self._cameras = {
             values["name"]: _read_camera(instrument, CameraStream(**values), file_bytes)
             for values in streams["cameras"]
@@ -120,7 +104,7 @@ class RunFile:
             )
             for values in streams["probes"]
         }
-        self._events = _table(_group(entry, "events"), layout.EVENT_COLUMNS, file_bytes)
+        self._events = _table(untrusted.get_group(entry, "events"), layout.EVENT_COLUMNS, file_bytes)
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -165,7 +149,7 @@ class RunFile:
     def frames(self, camera: str) -> FrameTable:
         """One row per committed frame."""
         table = self._camera(camera).table
-        with _explained(self.path):
+        with untrusted.explained(self.path):
             return FrameTable(**{name: table.read(name) for name in layout.FRAME_COLUMNS if name != "time"})
 
     def counts(self, camera: str, index: int) -> NDArray[np.uint16]:
@@ -194,7 +178,7 @@ class RunFile:
                 f"camera '{camera}' has no frame {index} in '{self.path}': "
                 f"{found.table.committed} frames are committed"
             )
-        with _explained(self.path):
+        with untrusted.explained(self.path):
             place = found.data.id.get_chunk_info_by_coord((index, 0, 0))
             if place.size > found.stream.rows * found.stream.columns * 2 + 4096 or place.filter_mask:
                 raise StoreError(f"frame {index} of camera '{camera}' in '{self.path}' is damaged")
@@ -204,7 +188,7 @@ class RunFile:
     def probe(self, name: str) -> ProbeSamples:
         """All committed samples of a probe."""
         found = self._probe(name)
-        with _explained(self.path):
+        with untrusted.explained(self.path):
             return ProbeSamples(
                 values=found.table.read("value"),
                 ticks=found.table.read("ticks"),
@@ -218,7 +202,7 @@ class RunFile:
 
     def events(self) -> list[Event]:
         """All committed events, in the order of writing."""
-        with _explained(self.path):
+        with untrusted.explained(self.path):
             columns = [self._events.read(name) for name in layout.EVENT_COLUMNS]
             return [
                 Event(int(host_ns), device.decode(), EventKind(kind.decode()), int(index), detail.decode())
@@ -227,8 +211,8 @@ class RunFile:
 
     def summary(self) -> dict[str, Any] | None:
         """What the recorder wrote at the end; None when the run was not finished."""
-        with _explained(self.path):
-            return dict(_json(self._details, "summary")) if self.complete else None
+        with untrusted.explained(self.path):
+            return dict(untrusted.get_json(self._details, "summary")) if self.complete else None
 
     def calibration(self) -> dict[str, Any] | None:
         """The calibration that was recorded with the run."""
@@ -241,7 +225,7 @@ class RunFile:
 
     def close(self) -> None:
         """Let go of the file."""
-        with contextlib.suppress(*_DAMAGE):
+        with contextlib.suppress(*untrusted.DAMAGE):
             self._file.close()
 
     def __enter__(self) -> Self:
@@ -276,48 +260,22 @@ def open_run(path: Path | str) -> RunFile:
     path = Path(path)
     if not path.is_file():
         raise StoreError(f"there is no run file '{path}'")
-    file = _open_hdf5(path)
+    file = untrusted.open_hdf5(path)
     try:
-        with _explained(path):
+        with untrusted.explained(path):
             return RunFile(path, file)
     except StoreError:
-        with contextlib.suppress(*_DAMAGE):
+        with contextlib.suppress(*untrusted.DAMAGE):
             file.close()
         raise
-
-
-def _open_hdf5(path: Path) -> h5py.File:
-    """Open plainly; a file that is being written, or whose writer died, opens only as a SWMR reader."""
-    import h5py
-
-    last: Exception | None = None
-    for swmr in (False, True):
-        try:
-            return h5py.File(path, "r", swmr=swmr)
-        except _DAMAGE as error:
-            last = error
-    raise StoreError(
-        f"'{path}' is not a readable HDF5 file: {last}",
-        remedy="If it was cut off while copying, copy it again.",
-    )
-
-
-@contextlib.contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except StoreError:
-        raise
-    except _DAMAGE as error:
-        raise StoreError(f"'{path}' is not a run file, or is damaged: {error}") from None
 
 
 def _read_camera(instrument: h5py.Group, stream: CameraStream, file_bytes: int) -> _Camera:
     rows, columns = int(stream.rows), int(stream.columns)
     if rows < 1 or columns < 1 or rows * columns > _MAX_PIXELS:
         raise StoreError(f"camera '{stream.name}' claims pictures of {rows} x {columns} pixels")
-    detector = _group(instrument, stream.name)
-    data = _dataset(detector, "data")
+    detector = untrusted.get_group(instrument, stream.name)
+    data = untrusted.get_dataset(detector, "data")
     if data.dtype != np.uint16 or data.shape[1:] != (rows, columns) or data.chunks != (1, rows, columns):
         raise StoreError(f"the pictures of camera '{stream.name}' are not stored as they must be")
     properties = data.id.get_create_plist()
@@ -325,85 +283,35 @@ def _read_camera(instrument: h5py.Group, stream: CameraStream, file_bytes: int) 
     if [number for number, *_ in filters] not in ([], [BLOSC_FILTER]):
         raise StoreError(f"the pictures of camera '{stream.name}' are compressed in an unknown way")
     compression = compression_of(filters[0][2]) if filters else "none"
-    table = _table(_group(detector, layout.DETAILS), layout.FRAME_COLUMNS, file_bytes)
+    table = _table(untrusted.get_group(detector, layout.DETAILS), layout.FRAME_COLUMNS, file_bytes)
     if table.committed > data.shape[0]:
         raise StoreError(f"camera '{stream.name}' claims more frames than there are")
     return _Camera(stream, data, compression, table)
 
 
 def _read_probe(instrument: h5py.Group, stream: ProbeStream, file_bytes: int) -> _Probe:
-    group = _group(instrument, f"{stream.name}_{layout.DETAILS}")
+    group = untrusted.get_group(instrument, f"{stream.name}_{layout.DETAILS}")
     table = _table(group, layout.SAMPLE_COLUMNS, file_bytes)
-    value = _dataset(group, "value")
+    value = untrusted.get_dataset(group, "value")
     channels = len(stream.channels)
     if value.dtype != np.float64 or value.shape[1:] != (channels,) or value.shape[0] < table.committed:
         raise StoreError(f"the samples of probe '{stream.name}' are not stored as they must be")
     if value.id.get_create_plist().get_nfilters() or table.committed * channels * 8 > file_bytes:
         raise StoreError(f"probe '{stream.name}' claims more samples than the file can hold")
     columns = {**table.columns, "value": value}
-    pulses = _table(_group(group, "pulses"), {"ticks": ("i8", "")}, file_bytes)
+    pulses = _table(untrusted.get_group(group, "pulses"), {"ticks": ("i8", "")}, file_bytes)
     return _Probe(stream, _Table(columns, table.committed), pulses)
 
 
 def _table(group: h5py.Group, columns: dict[str, tuple[str, str]], file_bytes: int) -> _Table:
     """Check the columns of a table: type, length, and that the file is large enough to hold them."""
-    committed = int(_scalar(group, layout.COMMITTED))
+    committed = int(untrusted.get_scalar(group, layout.COMMITTED))
     found = {}
     for name, (dtype, _) in columns.items():
-        column = _dataset(group, name)
+        column = untrusted.get_dataset(group, name)
         if column.dtype != np.dtype(dtype) or column.ndim != 1 or column.shape[0] < committed:
             raise StoreError(f"the column '{column.name}' is not stored as it must be")
         if column.id.get_create_plist().get_nfilters() or committed * column.dtype.itemsize > file_bytes:
             raise StoreError(f"'{column.name}' claims more rows than the file can hold")
         found[name] = column
     return _Table(found, committed)
-
-
-def _member(group: h5py.Group, name: object) -> Any:
-    """A member that is really in this file; soft and external links are not followed."""
-    import h5py
-
-    if not isinstance(name, str) or "/" in name or name in ("", "."):
-        raise StoreError(f"'{name}' is no name of a device")
-    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        raise StoreError(f"'{group.name}' of '{group.file.filename}' has no member '{name}' of its own")
-    return group[name]
-
-
-def _group(parent: h5py.Group, name: str) -> h5py.Group:
-    import h5py
-
-    member = _member(parent, name)
-    if not isinstance(member, h5py.Group):
-        raise StoreError(f"'{member.name}' should be a group")
-    return member
-
-
-def _dataset(parent: h5py.Group, name: str) -> h5py.Dataset:
-    """A dataset whose data are in this file and are plain numbers or fixed text."""
-    import h5py
-
-    member = _member(parent, name)
-    if not isinstance(member, h5py.Dataset):
-        raise StoreError(f"'{member.name}' should be a dataset")
-    if member.is_virtual or member.external or member.dtype.hasobject:
-        raise StoreError(f"'{member.name}' takes its data from elsewhere, or is of an unknown type")
-    return member
-
-
-def _scalar(group: h5py.Group, name: str) -> int:
-    dataset = _dataset(group, name)
-    if dataset.shape != () or dataset.dtype.kind not in "iu":
-        raise StoreError(f"'{dataset.name}' should be one whole number")
-    return int(dataset[()])
-
-
-def _text(group: h5py.Group, name: str) -> str:
-    dataset = _dataset(group, name)
-    if dataset.shape != () or dataset.dtype.kind != "S" or dataset.dtype.itemsize > _MAX_TEXT_BYTES:
-        raise StoreError(f"'{dataset.name}' should be a text")
-    return bytes(dataset[()]).decode()
-
-
-def _json(group: h5py.Group, name: str) -> Any:
-    return json.loads(_text(group, name))
