@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from thermacq.cli import calibration, common, devices, evaluation, reconstruction, recording, rig
+from thermacq.cli import calibration, common, devices, evaluation, reconstruction, recording, rig, store
 from thermacq.cli.plugin_commands import GroupWithPlugins
 
 app = typer.Typer(
@@ -27,6 +27,10 @@ app.add_typer(rig.app, name="rig")
 app.command("record")(recording.record)
 app.command("status")(recording.status)
 app.command("stop")(recording.stop)
+app.command("info")(store.info)
+app.command("verify")(store.verify)
+app.command("recover")(store.recover)
+app.command("import")(store.import_)
 app.command("calibrate")(calibration.calibrate)
 app.add_typer(calibration.app, name="calibration")
 app.command("still-water")(reconstruction.still_water)
