@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from thermacq.hooks import Truth
 from thermacq.reconstruction import Grid, WorldFrame
 from thermacq.reconstruction.product import ProductWriter
 from thermacq.store import (
@@ -219,6 +220,19 @@ def measured_wave(tmp_path_factory) -> MeasuredWave:
     noise = np.random.default_rng(0).normal(0, 3e-4, (10, *grid.shape))
     _write_product(files.still, grid, time_s[:10], noise, attributes, header)
     return files
+
+
+@pytest.fixture
+def known_truth(monkeypatch, measured_wave):
+    """A plugin that knows the truth of the scene of `measured_wave`, and of no other."""
+
+    class Plugins:
+        def truth(self, request):
+            if request.scene.get("surface") != "wave":
+                return None
+            return Truth(measured_wave.elevation(request.time_s[:, None, None], request.x_m))
+
+    monkeypatch.setattr("thermacq.evaluation.run_comparison.plugins", Plugins)
 
 
 def _write_product(path, grid, time_s, eta_m, attributes, header) -> None:

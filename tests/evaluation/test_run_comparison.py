@@ -4,24 +4,10 @@ import pytest
 
 from thermacq.errors import ReconstructionError, StoreError
 from thermacq.evaluation.run_comparison import CompareSettings, compare_run
-from thermacq.hooks import Truth
 from thermacq.reconstruction import open_product
-from thermacq.store import open_run
+from thermacq.store import RunFile, open_run
 
 QUICK = CompareSettings(resamples=50)
-
-
-@pytest.fixture
-def known_truth(monkeypatch, measured_wave):
-    """A plugin that knows the truth of the scene `wave`, and of no other."""
-
-    class Plugins:
-        def truth(self, request):
-            if request.scene.get("surface") != "wave":
-                return None
-            return Truth(measured_wave.elevation(request.time_s[:, None, None], request.x_m))
-
-    monkeypatch.setattr("thermacq.evaluation.run_comparison.plugins", Plugins)
 
 
 def test_stereo_probe_and_truth(measured_wave, known_truth):
@@ -70,3 +56,40 @@ def test_product_and_run_must_belong_together(measured_wave):
         product.attrs["run_id"] = "another"
         with pytest.raises(StoreError, match="not made from"):
             compare_run(product, run)
+
+
+def test_a_truth_that_fails_costs_only_the_truth(measured_wave, monkeypatch):
+    class Plugins:
+        def truth(self, request):
+            raise ZeroDivisionError("the sea is empty")
+
+    monkeypatch.setattr("thermacq.evaluation.run_comparison.plugins", Plugins)
+    with open_product(measured_wave.product) as product, open_run(measured_wave.run) as run:
+        found = compare_run(product, run, settings=QUICK)
+    assert len(found.comparisons) == 1
+    assert "the sea is empty" in found.notes[0]
+
+
+def test_a_useless_probe_leaves_the_truth(measured_wave, known_truth, monkeypatch):
+    def fail(run, name):
+        raise StoreError("it is silent")
+
+    monkeypatch.setattr("thermacq.evaluation.run_comparison.probe_record", fail)
+    with open_product(measured_wave.product) as product, open_run(measured_wave.run) as run:
+        found = compare_run(product, run, settings=QUICK)
+    assert [item.reference_name for item in found.comparisons] == ["truth (simulated) at probe P1"]
+    assert found.notes == ("probe P1 is not compared: it is silent",)
+
+
+@pytest.mark.parametrize(("truth", "count"), [(True, 1), (False, 0)])
+def test_a_run_without_probes(measured_wave, known_truth, monkeypatch, truth, count):
+    monkeypatch.setattr(RunFile, "probes", property(lambda run: ()))
+    settings = CompareSettings(resamples=50, truth=truth)
+    with open_product(measured_wave.product) as product, open_run(measured_wave.run) as run:
+        if not count:
+            with pytest.raises(ReconstructionError, match="no wave probe"):
+                compare_run(product, run, settings=settings)
+            return
+        found = compare_run(product, run, settings=settings)
+    assert len(found.comparisons) == count
+    assert found.comparisons[0].reference_name.startswith("truth (simulated) at x = 0.300 m, y = ")

@@ -32,7 +32,12 @@ def _comparisons(generator):
         compare_series(time, stereo, fine, probe, reference_name="probe P1"),
         compare_series(time, stereo, time, wave(time), reference_name="truth (simulated) at probe P1"),
         compare_series(
-            fine, probe, fine, wave(fine), measured_name="probe P1", reference_name="truth (simulated) at probe P1"
+            fine,
+            probe,
+            fine,
+            wave(fine),
+            measured_name="probe P1",
+            reference_name="truth (simulated) at probe P1",
         ),
     )
 
@@ -46,9 +51,9 @@ def full_data() -> ReportData:
     eta[:, :9] = np.nan
     eta[np.hypot(x[None, :] - 0.3, y[:, None] + 0.1) < 0.03] = np.nan
     rows, columns = np.mgrid[0:512, 0:640]
-    counts = (9000 + 400 * np.sin(rows / 31) * np.cos(columns / 23) + generator.normal(0, 20, rows.shape)).astype(
-        np.uint16
-    )
+    counts = (
+        9000 + 400 * np.sin(rows / 31) * np.cos(columns / 23) + generator.normal(0, 20, rows.shape)
+    ).astype(np.uint16)
     disparity = 70 - 0.03 * rows + 0.5 * np.sin(columns / 90)
     disparity[:, :60] = np.nan
     still = [generator.normal(0, 4e-4, (101, 101)) + 3e-4 * np.cos(9 * x)[None, :] for _ in range(12)]

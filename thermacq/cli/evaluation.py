@@ -180,6 +180,7 @@ def _must_be_new(path: Path) -> None:
 
 
 def _show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.console import Console
     from rich.markup import escape
     from rich.measure import Measurement
     from rich.table import Table
@@ -189,7 +190,7 @@ def _show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         table.add_row(*(escape(cell) for cell in row))
     # A table is never squeezed: in a file or a narrow terminal, long lines read better than broken cells.
     width = Measurement.get(out, out.options.update(max_width=10_000), table).maximum
-    out.print(table, width=width, crop=False)
+    Console(highlight=False, width=width).print(table)
 
 
 def _comparison_values(comparison: Comparison) -> dict[str, Any]:

@@ -57,6 +57,11 @@ class ProbeRecord:
     lost_samples: int
 
 
+def probe_label(name: str) -> str:
+    """A probe's name as it reads in a sentence: ``probe P1``, but not ``probe probe``."""
+    return name if name.startswith("probe") else f"probe {name}"
+
+
 def probe_record(run: RunFile, name: str) -> ProbeRecord:
     """Read a probe of a run: raw values to metres, its clock to the cameras' time.
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from thermacq.errors import ReconstructionError, StoreError, ThermacqError
 from thermacq.evaluation.comparison import Comparison, compare_series
-from thermacq.evaluation.probes import ProbeRecord, probe_record
+from thermacq.evaluation.probes import ProbeRecord, probe_label, probe_record
 from thermacq.evaluation.series import Detrend, Series
 from thermacq.evaluation.waves import Crossing
 from thermacq.hooks import TruthRequest
@@ -21,6 +21,16 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from thermacq.store import RunFile
+
+
+SURFACE = "stereo"
+"""Name of the measured surface in comparisons."""
+
+_Result = TypeVar("_Result")
+
+
+class TruthError(ThermacqError):
+    """A plugin failed to tell the truth of a simulated scene."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +98,7 @@ def compare_run(
     StoreError
         Product and run do not belong together.
     ThermacqError
-        Nothing could be compared; the reason of the first failure.
+        The surface could not be compared with anything; the reason of the first failure.
     """
     settings = settings or CompareSettings()
     if product.attrs.get("run_id") != run.header.run_id:
@@ -97,31 +107,18 @@ def compare_run(
             f"the file is run {run.header.run_id}",
             remedy="Give the run that the product was reconstructed from.",
         )
-    comparisons: list[Comparison] = []
-    probes: list[ProbeRecord] = []
-    notes: list[str] = []
-    failures: list[ThermacqError] = []
+    outcome = _Outcome()
     for name in [probe] if probe else run.probes:
-        try:
-            record = probe_record(run, name)
-            at = place or (record.x_m, record.y_m)
-            comparisons += list(_at_probe(product, run, record, at, settings))
-        except ThermacqError as error:
-            failures.append(error)
-            notes.append(f"probe {name} is not compared: {error.what}")
-            continue
-        probes.append(record)
-        notes += _notes(record, place)
+        _compare_at_probe(outcome, product, run, name, place, settings)
     if not run.probes:
-        notes.append("the run has no wave probe")
-        failures.append(
-            ReconstructionError(f"'{run.path}' has no wave probe and no known truth to compare with")
-        )
+        outcome.notes.append("the run has no wave probe")
         if settings.truth:
-            comparisons += _without_probe(product, run, place, settings)
-    if not comparisons:
-        raise failures[0]
-    return RunComparison(tuple(comparisons), tuple(probes), tuple(notes))
+            _compare_without_probe(outcome, product, run, place, settings)
+    if not any(comparison.measured_name == SURFACE for comparison in outcome.comparisons):
+        raise next(
+            iter(outcome.failures), ReconstructionError(f"'{run.path}' has no wave probe to compare with")
+        )
+    return RunComparison(tuple(outcome.comparisons), tuple(outcome.probes), tuple(outcome.notes))
 
 
 def simulated_truth(run: RunFile, time_s: Series, x_m: float, y_m: float) -> Series | None:
@@ -139,56 +136,113 @@ def simulated_truth(run: RunFile, time_s: Series, x_m: float, y_m: float) -> Ser
     if not run.header.simulated:
         return None
     request = TruthRequest(run.rig.scene, np.asarray(time_s, np.float64), np.array([x_m]), np.array([y_m]))
-    truth = plugins().truth(request)
-    return None if truth is None else np.asarray(truth.eta_m, np.float64)[:, 0, 0]
+    try:
+        truth = plugins().truth(request)
+        return None if truth is None else np.asarray(truth.eta_m, np.float64).reshape(len(time_s))
+    # The truth comes from a plugin: whatever it raises must cost the truth only.
+    except Exception as error:
+        raise TruthError(f"the truth of the simulated scene is not known: {error}") from None
 
 
-def _at_probe(
-    product: xr.Dataset, run: RunFile, probe: ProbeRecord, at: tuple[float, float], settings: CompareSettings
-) -> Iterator[Comparison]:
-    stereo = virtual_probe(product, *at)
-    name = f"probe {probe.name}"
-    yield _compare(stereo.time_s, stereo.eta_m, probe.time_s, probe.eta_m, "stereo", name, settings)
-    if not settings.truth:
+@dataclass(frozen=True)
+class _Measured:
+    """A named series, (times,) seconds and metres."""
+
+    name: str
+    time_s: Series
+    eta_m: Series
+
+
+@dataclass
+class _Outcome:
+    """What was compared so far; a failure costs only the comparison in which it happened."""
+
+    comparisons: list[Comparison] = field(default_factory=list)
+    probes: list[ProbeRecord] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    failures: list[ThermacqError] = field(default_factory=list)
+
+    def attempt(self, what: str, action: Callable[[], _Result]) -> _Result | None:
+        """Result of an action; None, and a note, when it failed."""
+        try:
+            return action()
+        except ThermacqError as error:
+            self.failures.append(error)
+            self.notes.append(f"{what} is not compared: {error.what}")
+            return None
+
+    def compare(self, what: str, action: Callable[[], Comparison | None]) -> None:
+        """Keep the comparison that an action makes, if it makes one."""
+        if (found := self.attempt(what, action)) is not None:
+            self.comparisons.append(found)
+
+
+def _compare_at_probe(
+    outcome: _Outcome,
+    product: xr.Dataset,
+    run: RunFile,
+    name: str,
+    place: tuple[float, float] | None,
+    settings: CompareSettings,
+) -> None:
+    label = probe_label(name)
+    record = outcome.attempt(label, lambda: probe_record(run, name))
+    if record is not None:
+        outcome.probes.append(record)
+        outcome.notes += _notes(record, place)
+    table = run.rig.probes.get(name)
+    if table is None:
         return
-    truth = simulated_truth(run, stereo.time_s, *at)
-    if truth is not None:
-        label = f"truth (simulated) at {name}"
-        yield _compare(stereo.time_s, stereo.eta_m, stereo.time_s, truth, "stereo", label, settings)
-    at_probe = simulated_truth(run, probe.time_s, probe.x_m, probe.y_m)
-    if at_probe is not None:
-        label = f"truth (simulated) at {name}"
-        yield _compare(probe.time_s, probe.eta_m, probe.time_s, at_probe, name, label, settings)
+    at = place or (table.x_m, table.y_m)
+    probe = None if record is None else _Measured(label, record.time_s, record.eta_m)
+    stereo = outcome.attempt("the surface", lambda: _surface_at(product, at))
+    if stereo and probe:
+        outcome.compare(label, lambda: _compare(stereo, probe, settings))
+    there = f"truth (simulated) at {label}"
+    if settings.truth and stereo:
+        outcome.compare(there, lambda: _against_truth(run, stereo, at, there, settings))
+    if settings.truth and probe:
+        own = (table.x_m, table.y_m)
+        outcome.compare(there, lambda: _against_truth(run, probe, own, there, settings))
 
 
-def _without_probe(
-    product: xr.Dataset, run: RunFile, place: tuple[float, float] | None, settings: CompareSettings
-) -> Iterator[Comparison]:
+def _compare_without_probe(
+    outcome: _Outcome,
+    product: xr.Dataset,
+    run: RunFile,
+    place: tuple[float, float] | None,
+    settings: CompareSettings,
+) -> None:
     """A simulated run without probes: the surface against the truth at a place, else at its middle."""
     at = place or (float(product["x"].mean()), float(product["y"].mean()))
-    stereo = virtual_probe(product, *at)
-    truth = simulated_truth(run, stereo.time_s, *at)
-    if truth is not None:
-        label = f"truth (simulated) at x = {at[0]:.3f} m, y = {at[1]:.3f} m"
-        yield _compare(stereo.time_s, stereo.eta_m, stereo.time_s, truth, "stereo", label, settings)
+    there = f"truth (simulated) at x = {at[0]:.3f} m, y = {at[1]:.3f} m"
+    stereo = outcome.attempt("the surface", lambda: _surface_at(product, at))
+    if stereo:
+        outcome.compare(there, lambda: _against_truth(run, stereo, at, there, settings))
 
 
-def _compare(
-    time_s: Series,
-    measured_m: Series,
-    reference_time_s: Series,
-    reference_m: Series,
-    measured_name: str,
-    reference_name: str,
-    settings: CompareSettings,
-) -> Comparison:
+def _surface_at(product: xr.Dataset, at: tuple[float, float]) -> _Measured:
+    found = virtual_probe(product, *at)
+    return _Measured(SURFACE, found.time_s, found.eta_m)
+
+
+def _against_truth(
+    run: RunFile, measured: _Measured, at: tuple[float, float], label: str, settings: CompareSettings
+) -> Comparison | None:
+    truth = simulated_truth(run, measured.time_s, *at)
+    if truth is None:
+        return None
+    return _compare(measured, _Measured(label, measured.time_s, truth), settings)
+
+
+def _compare(measured: _Measured, reference: _Measured, settings: CompareSettings) -> Comparison:
     return compare_series(
-        time_s,
-        measured_m,
-        reference_time_s,
-        reference_m,
-        measured_name=measured_name,
-        reference_name=reference_name,
+        measured.time_s,
+        measured.eta_m,
+        reference.time_s,
+        reference.eta_m,
+        measured_name=measured.name,
+        reference_name=reference.name,
         crossing=settings.crossing,
         detrend=settings.detrend,
         apply_lag=settings.apply_lag,
@@ -198,20 +252,21 @@ def _compare(
 
 
 def _notes(probe: ProbeRecord, place: tuple[float, float] | None) -> Iterator[str]:
+    label = probe_label(probe.name)
     if probe.zero_source != "rig":
         yield (
-            f"zero of probe {probe.name}: {probe.zero_source}, so the bias against it holds no information "
+            f"zero of {label}: {probe.zero_source}, so the bias against it holds no information "
             "about the level of the water"
         )
     if probe.clock.method != "pulses":
         yield (
-            f"clock of probe {probe.name}: fitted to times of receipt ({probe.clock.method}); an unknown "
+            f"clock of {label}: fitted to times of receipt ({probe.clock.method}); an unknown "
             "shortest delay stays in the lag"
         )
     if probe.lost_samples:
-        yield f"probe {probe.name} lost {probe.lost_samples} samples"
+        yield f"{label} lost {probe.lost_samples} samples"
     if place is not None:
         yield (
-            f"the surface was read at x = {place[0]:.3f} m, y = {place[1]:.3f} m, probe {probe.name} stands at "
+            f"the surface was read at x = {place[0]:.3f} m, y = {place[1]:.3f} m, {label} stands at "
             f"x = {probe.x_m:.3f} m, y = {probe.y_m:.3f} m"
         )

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from thermacq.errors import StoreError, ThermacqError
 from thermacq.evaluation import Flatness, flatness, quantisation_curve
+from thermacq.evaluation.probes import probe_label
 from thermacq.evaluation.run_comparison import RunComparison, compare_run
 from thermacq.reconstruction import Source, WorldFrame, match_pair, open_product, open_source
 from thermacq.report.data import (
@@ -97,7 +98,7 @@ def collect(
             coverage=_coverage(dataset),
             comparisons=parts.compared.comparisons if parts.compared else (),
             places=tuple(
-                Place(f"probe {probe.name}", probe.x_m, probe.y_m)
+                Place(probe_label(probe.name), probe.x_m, probe.y_m)
                 for probe in (parts.compared.probes if parts.compared else ())
             ),
             flatness=still_flatness,

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thermacq import __version__
+from thermacq.evaluation.probes import ProbeRecord, probe_label
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from thermacq.evaluation.probes import ProbeRecord
     from thermacq.evaluation.run_comparison import RunComparison
     from thermacq.reconstruction import Source
 
@@ -77,12 +77,13 @@ def provenance(
             **{f"version of {name}": version for name, version in header.versions.items()},
         }
         sections["Calibration"] |= {
-            "stereo reprojection error": f"{source.calibration.rms_px:.3f} px",
+            "stereo reprojection error": _pixels(source.calibration.rms_px),
             "source": source.calibration.source,
             "made": source.calibration.created,
         }
     for probe in compared.probes if compared else ():
-        sections[f"Probe {probe.name}"] = _probe(probe)
+        label = probe_label(probe.name)
+        sections[label[0].upper() + label[1:]] = _probe(probe)
     return sections
 
 
@@ -109,6 +110,10 @@ def _probe(probe: ProbeRecord) -> dict[str, str]:
         "clock": f"{clock.method}, drift {clock.drift_ppm:+.2f} ppm, residual {clock.residual_ns / 1000:.3g} µs",
         "lost samples": str(probe.lost_samples),
     }
+
+
+def _pixels(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.3f} px"
 
 
 def _settings(values: Any) -> dict[str, str]:
