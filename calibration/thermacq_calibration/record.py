@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -212,6 +213,8 @@ class StereoCalibration:
                 f"'{path}' exists already", kept="It was not touched.", remedy="Choose another name."
             ) from None
         except OSError as error:
+            with suppress(OSError):
+                path.unlink()
             raise CalibrationError(
                 f"'{path}' cannot be written: {error.strerror}",
                 remedy="Choose a folder that exists and has room.",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import io
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -154,6 +156,21 @@ def test_an_existing_file_is_not_touched(tmp_path):
     assert path.read_text() == "precious"
     with pytest.raises(CalibrationError, match="cannot be written"):
         record().save(tmp_path / "no folder" / "cal.json")
+
+
+def test_a_full_disk_leaves_no_half_record(tmp_path, monkeypatch):
+    class FullDisk(io.StringIO):
+        def write(self, text):
+            raise OSError(28, "No space left on device")
+
+    def open_on_full_disk(path, *_, **__):
+        path.touch()
+        return FullDisk()
+
+    monkeypatch.setattr(Path, "open", open_on_full_disk)
+    with pytest.raises(CalibrationError, match="No space left"):
+        record().save(tmp_path / "cal.json")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_record_cannot_be_changed():

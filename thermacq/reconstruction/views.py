@@ -6,8 +6,10 @@ looked at, so that a long recording never stands in memory.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,14 +196,18 @@ def detect_views(
         No picture can be read, or the two cameras' pictures have different sizes.
     """
     sizes: dict[str, set[tuple[int, ...]]] = {"left": set(), "right": set()}
+
+    def look_at(view: PictureView) -> View:
+        return View(
+            view.name, _look(view.left, board, sizes["left"]), _look(view.right, board, sizes["right"])
+        )
+
     found = []
-    for view in views:
-        sides = {
-            side: _look(load, board, sizes[side])
-            for side, load in (("left", view.left), ("right", view.right))
-        }
-        found.append(View(view.name, sides["left"], sides["right"]))
-        progress()
+    # The detector runs on one core and lets other threads work meanwhile.
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        for view in pool.map(look_at, views):
+            found.append(view)
+            progress()
     shapes = sizes["left"] | sizes["right"]
     if not shapes:
         raise ImportDataError("none of the pictures can be read")
