@@ -1,11 +1,12 @@
 """Matcher ``sgbm``: OpenCV's semi-global matching, made fit for thermal water, then refined.
 
-Raw 16-bit counts are freed of shading (local mean), stretched to 8 bits by percentiles common to both
-pictures, matched, and refined to sub-pixel precision.
+Raw 16-bit counts are freed of shading, stretched to 8 bits by percentiles common to both pictures, matched,
+and refined to sub-pixel precision.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import cv2
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from thermacq_plugins.refinement import Picture, normalise, refine, remove_local_mean
+from thermacq_plugins.refinement import Picture, refine
 
 _MODES = {
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -35,16 +36,16 @@ class SgbmSettings(BaseModel):
         None, ge=-2048, le=2048, description="pixels; unset: found from the run, else a quarter of the width"
     )
     mode: Literal["3way", "sgbm", "hh"] = Field("3way", description="3, 5 or 8 directions")
-    block_size: int = Field(7, ge=1, le=21, description="pixels, odd")
+    block_size: int = Field(9, ge=1, le=21, description="pixels, odd")
     uniqueness_percent: int = Field(10, ge=0, le=100)
     left_right_px: int = Field(1, ge=-1, description="largest left-right difference; -1: no check")
     speckle_size_px: int = Field(100, ge=0, description="smaller islands are dropped; 0: none")
     speckle_range_px: int = Field(2, ge=1)
     stretch_percent: float = Field(0.5, ge=0, lt=50, description="share clipped at either end of the stretch")
-    local_mean_px: int = Field(51, ge=0, description="window of the local mean taken out; 0: none")
+    shading_degree: int = Field(3, ge=0, le=6, description="of the smooth surface taken out beforehand")
     presmooth_px: float = Field(1.0, ge=0, le=10, description="Gaussian against noise before matching")
     refine: bool = Field(True, description="refine to sub-pixel precision")
-    refine_sigma_px: float = Field(6.0, ge=2, le=50, description="Gaussian window of the refinement")
+    refine_sigma_px: float = Field(10.0, ge=2, le=50, description="Gaussian window of the refinement")
     min_correlation: float = Field(0.35, ge=-1, le=1, description="of the refined windows, else NaN")
 
     @model_validator(mode="after")
@@ -71,17 +72,12 @@ class SgbmMatcher:
     def match(self, left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
         """Disparity of the left picture; see `thermacq.hooks.DisparityMatcher`."""
         settings = self._settings
-        disparity = self._semi_global(*stretch(left, right, settings))
+        left, right = (take_out_shading(picture, settings.shading_degree) for picture in (left, right))
+        disparity = self._semi_global(*_to_8_bit((left, right), settings))
         disparity[~(np.isfinite(left) & _matched_pixel_known(right, disparity))] = np.nan
         if not settings.refine:
             return disparity
-        return refine(
-            normalise(left),
-            normalise(right),
-            disparity,
-            sigma_px=settings.refine_sigma_px,
-            min_correlation=settings.min_correlation,
-        )
+        return refine(left, right, disparity, settings.refine_sigma_px, settings.min_correlation)
 
     def _semi_global(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Picture:
         """Disparity in steps of 1/16 px; NaN where OpenCV found none or it points outside the picture."""
@@ -119,29 +115,47 @@ class SgbmMatcher:
         return disparity
 
 
-def stretch(
-    left: Picture, right: Picture, settings: SgbmSettings
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Both pictures to 8 bits by common percentiles; NaN pixels become mid-grey."""
-    pictures = [_prepare(picture, settings) for picture in (left, right)]
-    shown = [p[np.isfinite(raw)][::7] for p, raw in zip(pictures, (left, right), strict=True)]
-    valid = np.concatenate([*shown, np.zeros(1, np.float32)])
-    low, high = np.percentile(valid, (settings.stretch_percent, 100.0 - settings.stretch_percent))
-    scale = 255.0 / max(float(high - low), 1e-6)
-    grey = [np.clip((p - np.float32(low)) * np.float32(scale), 0, 255).astype(np.uint8) for p in pictures]
-    return grey[0], grey[1]
+def take_out_shading(picture: Picture, degree: int) -> Picture:
+    """Take the low-order surface of best fit (the lamps' gradient, shading) out of a picture; keeps NaN.
+
+    Parameters
+    ----------
+    picture
+        (rows, columns) float32, NaN outside.
+    degree
+        Highest total degree of the polynomial; 0 takes out the mean.
+    """
+    rows, columns = picture.shape
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    y, x = np.linspace(-1, 1, rows), np.linspace(-1, 1, columns)
+    y_powers, x_powers = y ** np.arange(degree + 1)[:, None], x ** np.arange(degree + 1)[:, None]
+    thin = slice(None, None, 8)
+    sample = picture[thin, thin]
+    valid = np.isfinite(sample)
+    if not valid.any():
+        return picture
+    design = [np.multiply.outer(y_powers[i, thin], x_powers[j, thin])[valid] for i, j in powers]
+    weights = np.linalg.lstsq(np.stack(design, axis=1), sample[valid].astype(np.float64), rcond=None)[0]
+    surface = sum(
+        weight * np.multiply.outer(y_powers[i], x_powers[j])
+        for weight, (i, j) in zip(weights, powers, strict=True)
+    )
+    return np.asarray(picture - surface, np.float32)
 
 
-def _prepare(picture: Picture, settings: SgbmSettings) -> Picture:
-    if settings.local_mean_px:
-        flat = remove_local_mean(picture, settings.local_mean_px)
-    else:
-        valid = np.isfinite(picture)
-        level = np.median(picture[valid]) if valid.any() else 0.0
-        flat = np.where(valid, picture, level).astype(np.float32, copy=False)
-    if settings.presmooth_px:
-        flat = np.asarray(cv2.GaussianBlur(flat, (0, 0), settings.presmooth_px), np.float32)
-    return flat
+def _to_8_bit(pictures: Sequence[Picture], settings: SgbmSettings) -> list[NDArray[np.uint8]]:
+    """Pictures to 8 bits by common percentiles; NaN pixels become mid-grey."""
+    # A zero keeps percentiles defined for pictures without a valid pixel.
+    sample = np.concatenate([*(picture[np.isfinite(picture)][::7] for picture in pictures), np.zeros(1)])
+    low, high = np.percentile(sample, (settings.stretch_percent, 100.0 - settings.stretch_percent))
+    scale = np.float32(255.0 / max(float(high - low), 1e-6))
+    grey = []
+    for picture in pictures:
+        filled = np.where(np.isfinite(picture), picture, np.float32(0.5 * (low + high)))
+        if settings.presmooth_px:
+            filled = np.asarray(cv2.GaussianBlur(filled, (0, 0), settings.presmooth_px))
+        grey.append(((filled - np.float32(low)) * scale).clip(0, 255).astype(np.uint8))
+    return grey
 
 
 def _matched_pixel_known(right: Picture, disparity: Picture) -> NDArray[np.bool_]:

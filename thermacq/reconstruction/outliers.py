@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MAD_TO_SIGMA = 1.4826
+_LEAST_SUPPORT = 0.25
+_SPECKLE_STEPS, _SPECKLE_NONE = 8, -32768
 
 
 def reject_outliers(
@@ -14,6 +16,7 @@ def reject_outliers(
     tile_px: int = 16,
     deviations: float = 5.0,
     floor_px: float = 0.5,
+    least_share: float = 0.005,
 ) -> NDArray[np.float32]:
     """Set disparities to NaN that lie far from the local median.
 
@@ -32,6 +35,9 @@ def reject_outliers(
     floor_px
         Least limit, so that a very smooth surface does not lose its own noise.
 
+    least_share
+        Connected patches smaller than this share of the picture are no surface.
+
     Returns
     -------
     numpy.ndarray
@@ -44,18 +50,30 @@ def reject_outliers(
         deviations * _MAD_TO_SIGMA * _between_tiles(_median_of_neighbours(spread), disparity.shape, tile_px),
     )
     far = ~(np.abs(disparity - centre) <= limit)
-    return np.where(far, np.float32(np.nan), disparity)
+    return _without_islands(np.where(far, np.float32(np.nan), disparity), least_share)
+
+
+def _without_islands(disparity: NDArray[np.float32], least_share: float) -> NDArray[np.float32]:
+    """Set connected patches (steps of at most 1 px) smaller than a share of the picture to NaN."""
+    import cv2
+
+    known = np.isfinite(disparity)
+    steps = np.where(known, np.rint(disparity * _SPECKLE_STEPS), _SPECKLE_NONE).astype(np.int16)
+    cv2.filterSpeckles(steps, _SPECKLE_NONE, int(least_share * disparity.size), _SPECKLE_STEPS)
+    return np.where(steps == _SPECKLE_NONE, np.float32(np.nan), disparity)
 
 
 def _tile_statistics(
     values: NDArray[np.float32], tile_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Median and MAD of each tile, NaN for empty tiles."""
+    """Median and MAD of each tile, NaN for tiles less than a quarter full."""
     rows, columns = values.shape
     padded = np.pad(values, ((0, -rows % tile_px), (0, -columns % tile_px)), constant_values=np.nan)
     tiles = padded.reshape(padded.shape[0] // tile_px, tile_px, padded.shape[1] // tile_px, tile_px)
     flat = tiles.transpose(0, 2, 1, 3).reshape(tiles.shape[0], tiles.shape[2], tile_px * tile_px)
-    median = _nan_median(flat)
+    # A few matches at the edge of the common view may all be false: such a tile follows its neighbours.
+    sparse = np.isfinite(flat).mean(axis=-1) < _LEAST_SUPPORT
+    median = np.where(sparse, np.float32(np.nan), _nan_median(flat))
     return median, _nan_median(np.abs(flat - median[..., None]))
 
 
