@@ -42,6 +42,9 @@ class Probe:
     def arm(self):
         pass
 
+    def samples(self, host):
+        yield
+
     def disarm(self):
         pass
 

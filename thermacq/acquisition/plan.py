@@ -104,11 +104,9 @@ def check_fit(job: Job, opened: Mapping[str, Opened]) -> list[str]:
     Raises
     ------
     RigError
-        The devices do not fit the rig or each other, or the calibration was made for another size.
+        The devices do not fit the rig or each other, or the calibration is for another size.
     """
     rig, reports = job.rig, []
-    if not rig.cameras:
-        raise RigError("the rig has no camera", remedy="Add a [cameras.NAME] table.")
     for (_, name), kind, table in devices_of(rig):
         if answer := opened.get(name):
             reports.append(

@@ -333,7 +333,7 @@ class ProbeLoop:
 def check_block(block: object, channels: int) -> SampleBlock:
     """A block with proper arrays; raises `ValueError` or `TypeError` saying what is wrong."""
     if not isinstance(block, SampleBlock):
-        raise ValueError(f"a {type(block).__name__} instead of a block of samples")
+        raise TypeError(f"a {type(block).__name__} instead of a block of samples")
     values = np.asarray(block.values, np.float64)
     ticks = np.asarray(block.ticks, np.int64)
     pulses = np.asarray(block.pulse_ticks, np.int64)
