@@ -6,7 +6,7 @@ by `hookimpl`. Built-in drivers and matchers use the same door. This module impo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pydantic import BaseModel
 
+    from thermacq.errors import DeviceFault
     from thermacq.rig import Rig
 
 GROUP = "thermacq"
@@ -62,6 +63,9 @@ class Driver:
         Returns the pydantic model of the settings that `configure` takes; called only when needed.
     discover
         Cheap look-round for attached devices, opening none.
+    faults
+        Settings that make a simulated or emulated device act out a fault some frames (or blocks) after
+        arming, e.g. ``{DeviceDisconnected: {"fail_at_frame": 5}}``; the conformance suite uses them.
     """
 
     name: str
@@ -71,6 +75,7 @@ class Driver:
     make: Callable[[DeviceContext], Device]
     settings: Callable[[], type[BaseModel]]
     discover: Callable[[], Sequence[DeviceIdentity]] = _nothing_found
+    faults: Mapping[type[DeviceFault], Settings] = field(default_factory=dict, hash=False)
 
 
 class DisparityMatcher(Protocol):
@@ -145,12 +150,15 @@ class TruthRequest:
         (times,) float64, host time of the recording in seconds.
     x_m, y_m
         Coordinates of the grid in the world frame (still water, X along the flume), 1-D each.
+    rig
+        The whole resolved rig as plain values, for facts about its devices (true geometry, clocks).
     """
 
     scene: Settings
     time_s: NDArray[np.float64]
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
+    rig: Settings = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

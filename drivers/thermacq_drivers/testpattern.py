@@ -98,7 +98,8 @@ class PatternCamera:
         return DeviceIdentity("test-pattern", "test pattern", f"TP-{self._name}")
 
     def configure(self, settings: Settings) -> Settings:
-        """Apply settings; all of them take effect at the next `arm`."""
+        """Apply settings; a camera that was armed must be armed again."""
+        self.disarm()
         self._settings = check_settings(PatternSettings, settings, self._name)
         return self._settings.model_dump()
 
@@ -266,4 +267,10 @@ DRIVER = Driver(
     evidence=Evidence.SIMULATED,
     make=PatternCamera,
     settings=lambda: PatternSettings,
+    faults={
+        DeviceDisconnected: {"fail_at_frame": 5},
+        DeviceTimeout: {"stall_at_frame": 5, "timeout_s": 0.3},
+        IncompleteFrame: {"incomplete_at_frame": 5},
+        DeviceOverrun: {"overrun_at_frame": 5},
+    },
 )

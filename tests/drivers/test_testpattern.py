@@ -196,3 +196,11 @@ def test_full_pictures_are_made_faster_than_500_per_second():
             next(frames)
         seconds.append((time.process_time() - start) / 100)
     assert 1 / min(seconds) > 500
+
+
+def test_new_settings_end_the_stream_that_was_armed_with_the_old_ones():
+    device = camera()
+    frames = device.frames(Host((24, 32)))
+    next(frames)
+    device.configure({"rows": 8, "columns": 16})
+    assert list(frames) == []

@@ -1,0 +1,23 @@
+"""Every built-in driver keeps every rule of the device interface."""
+
+from __future__ import annotations
+
+import pytest
+
+from thermacq.plugins import plugins
+from thermacq.testing.kit import NotApplicable, Subject, checks_for
+
+# Smaller pictures keep the run short; the rules are the same.
+SETTINGS = {name: {"rows": 64, "columns": 80} for name in ("test-pattern", "sim-camera")}
+
+BUILT_IN = [(driver, check) for driver in plugins().drivers().values() for check in checks_for(driver.kind)]
+
+
+@pytest.mark.parametrize(
+    ("driver", "check"), BUILT_IN, ids=[f"{driver.name}-{check.__name__}" for driver, check in BUILT_IN]
+)
+def test_driver_conforms(driver, check):
+    try:
+        check(Subject(driver, SETTINGS.get(driver.name, {})))
+    except NotApplicable as reason:
+        pytest.skip(str(reason))
