@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from thermacq.errors import ReconstructionError, StoreError
@@ -31,6 +32,17 @@ def test_truth_can_be_left_out(measured_wave, known_truth):
     with open_product(measured_wave.product) as product, open_run(measured_wave.run) as run:
         found = compare_run(product, run, settings=settings)
     assert len(found.comparisons) == 1
+
+
+def test_noise_that_makes_waves_is_noted(measured_wave, known_truth):
+    with open_product(measured_wave.product) as product, open_run(measured_wave.run) as run:
+        noise = np.random.default_rng(0).normal(0, 0.012, product["eta"].shape)
+        noisy = product.assign(eta=product["eta"] + noise)
+        found = compare_run(noisy, run, settings=QUICK)
+        calm = compare_run(noisy, run, settings=CompareSettings(resamples=50, dead_band_m=0.03))
+    assert any(note.startswith("stereo: noise makes waves") for note in found.notes)
+    assert calm.notes == ()
+    assert calm.comparisons[0].period_error == pytest.approx(0, abs=0.02)
 
 
 def test_another_place_is_stated(measured_wave, known_truth):

@@ -97,6 +97,24 @@ def test_one_missing_frame_is_no_gap(regular_wave):
     assert found.mean_height_m == pytest.approx(0.08, rel=2e-3)
 
 
+def test_a_dead_band_keeps_noise_from_making_waves():
+    generator = np.random.default_rng(0)
+    time = np.arange(0, 80, 0.02)
+    noisy = 0.04 * np.cos(2 * np.pi * time / 0.791) + generator.normal(0, 0.004, time.size)
+    plain = wave_statistics(time, noisy)
+    banded = wave_statistics(time, noisy, dead_band_m=0.015)
+    assert plain.shortest_period_s < 0.1
+    assert plain.waves > 105
+    assert banded.waves == 100
+    assert banded.mean_period_s == pytest.approx(0.791, rel=1e-3)
+    assert banded.shortest_period_s > 0.7
+
+
+def test_a_touch_of_zero_is_no_crossing():
+    value = np.array([-1.0, 1, 0, 1, -1, 1, -1, 1])
+    assert single_waves(prepare(np.arange(8.0), value, "none")).period_s.tolist() == [4, 2]
+
+
 def test_linear_detrending_removes_a_drift(regular_wave):
     time, elevation = regular_wave(waves=20)
     drifting = elevation + 0.01 * time + 0.3

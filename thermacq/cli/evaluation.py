@@ -25,6 +25,11 @@ DetrendOption = Annotated[
     typer.Option("--detrend", help="What is removed before crossings are sought."),
 ]
 
+DeadBand = Annotated[
+    float,
+    typer.Option("--dead-band-mm", min=0, help="Zero crossings by less than this are noise, not waves."),
+]
+
 
 def waves(
     file: Annotated[
@@ -42,6 +47,7 @@ def waves(
         Literal["parabola", "sample"],
         typer.Option("--crest", help="Interpolate crests, or take the extreme sample."),
     ] = "parabola",
+    dead_band_mm: DeadBand = 0.0,
     as_json: AsJson = False,
 ) -> None:
     """Wave statistics of a series in a text file: zero-crossing waves and spectral moments."""
@@ -52,7 +58,9 @@ def waves(
     time_s, elevation_m = read_series(
         file, time_column=time_column, value_column=value_column, rate_hz=rate_hz, unit=unit
     )
-    found = wave_statistics(time_s, elevation_m, crossing=crossing, detrend=detrend, crest=crest)
+    found = wave_statistics(
+        time_s, elevation_m, crossing=crossing, detrend=detrend, crest=crest, dead_band_m=dead_band_mm / 1000
+    )
     if as_json:
         print_json(_plain({"file": str(file), **asdict(found)}))
         return
@@ -75,6 +83,7 @@ def compare(
     ] = False,
     crossing: CrossingOption = "up",
     detrend: DetrendOption = "mean",
+    dead_band_mm: DeadBand = 0.0,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the bootstrap.")] = 0,
     csv: Annotated[
         Path | None, typer.Option("--csv", help="Also write the paired series to this file.")
@@ -88,7 +97,12 @@ def compare(
     from thermacq.store import open_run
 
     settings = CompareSettings(
-        crossing=crossing, detrend=detrend, apply_lag=apply_lag, truth=truth, seed=seed
+        crossing=crossing,
+        detrend=detrend,
+        apply_lag=apply_lag,
+        truth=truth,
+        dead_band_m=dead_band_mm / 1000,
+        seed=seed,
     )
     with open_product(product) as dataset, open_run(run) as opened:
         result = compare_run(dataset, opened, probe=probe, place=at, settings=settings)

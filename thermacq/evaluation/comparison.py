@@ -7,7 +7,9 @@ A time lag is estimated and reported; it is taken out only when asked for, and t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -122,6 +124,7 @@ def compare_series(
     reference_name: str = "probe",
     crossing: Crossing = "up",
     detrend: Detrend = "mean",
+    dead_band_m: float = 0.0,
     apply_lag: bool = False,
     resamples: int = 1000,
     seed: int = 0,
@@ -138,7 +141,7 @@ def compare_series(
         (samples,) seconds on the same clock, metres; NaN where missing.
     measured_name, reference_name
         Names for tables.
-    crossing, detrend
+    crossing, detrend, dead_band_m
         As in `wave_statistics`; the agreement itself uses the series as they are.
     apply_lag
         Shift the measured series by the estimated lag first. The result says so.
@@ -164,9 +167,9 @@ def compare_series(
             f"{_span(reference_time[known], reference_name)}",
             remedy="Check that both belong to the same recording and the same clock.",
         )
-    reference_waves = _statistics(
-        reference_time, reference, _common(reference_time, time[common]), crossing, detrend, reference_name
-    )
+    analyse = partial(wave_statistics, crossing=crossing, detrend=detrend, dead_band_m=dead_band_m)
+    shared = _common(reference_time, time[common])
+    reference_waves = _named(reference_name, analyse, reference_time[shared], reference[shared])
     lag = estimate_lag(
         time[common], measured[common], reference_time, reference, reference_waves.mean_period_s
     )
@@ -195,9 +198,7 @@ def compare_series(
             seed=seed,
         ),
         lag=lag,
-        measured_waves=_statistics(
-            time, measured, np.ones(time.size, np.bool_), crossing, detrend, measured_name
-        ),
+        measured_waves=_named(measured_name, analyse, time, measured),
         reference_waves=reference_waves,
         amplitude_ratio=harmonic_at(time, measured, period)[0] / harmonic_at(time, at_frames, period)[0],
     )
@@ -299,11 +300,12 @@ def _bootstrap(terms: Series, block: int, resamples: int, seed: int) -> dict[str
     }
 
 
-def _statistics(
-    time: Series, value: Series, inside: NDArray[np.bool_], crossing: Crossing, detrend: Detrend, name: str
+def _named(
+    name: str, analyse: Callable[[Series, Series], WaveStatistics], time: Series, value: Series
 ) -> WaveStatistics:
+    """Wave statistics of a series whose name stands in the message when there are none."""
     try:
-        return wave_statistics(time[inside], value[inside], crossing=crossing, detrend=detrend)
+        return analyse(time, value)
     except WaveError as error:
         raise WaveError(f"{name}: {error.what}", remedy=error.remedy) from None
 

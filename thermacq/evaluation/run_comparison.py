@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
@@ -39,7 +39,7 @@ class CompareSettings:
 
     Parameters
     ----------
-    crossing, detrend
+    crossing, detrend, dead_band_m
         As in `wave_statistics`.
     apply_lag
         Take the estimated lag out first; the result says so.
@@ -51,6 +51,7 @@ class CompareSettings:
 
     crossing: Crossing = "up"
     detrend: Detrend = "mean"
+    dead_band_m: float = 0.0
     apply_lag: bool = False
     truth: bool = True
     resamples: int = 1000
@@ -118,6 +119,7 @@ def compare_run(
         raise next(
             iter(outcome.failures), ReconstructionError(f"'{run.path}' has no wave probe to compare with")
         )
+    outcome.notes += _noise_notes(outcome.comparisons)
     return RunComparison(tuple(outcome.comparisons), tuple(outcome.probes), tuple(outcome.notes))
 
 
@@ -245,10 +247,22 @@ def _compare(measured: _Measured, reference: _Measured, settings: CompareSetting
         reference_name=reference.name,
         crossing=settings.crossing,
         detrend=settings.detrend,
+        dead_band_m=settings.dead_band_m,
         apply_lag=settings.apply_lag,
         resamples=settings.resamples,
         seed=settings.seed,
     )
+
+
+def _noise_notes(comparisons: Sequence[Comparison]) -> Iterator[str]:
+    """Series that cross zero where their reference does not: noise, which spoils counts and mean period."""
+    for comparison in comparisons:
+        least = comparison.reference_waves.mean_period_s / 4
+        if comparison.measured_waves.shortest_period_s < least < comparison.reference_waves.shortest_period_s:
+            yield (
+                f"{comparison.measured_name}: noise makes waves as short as "
+                f"{comparison.measured_waves.shortest_period_s:.3f} s; a dead band leaves them out"
+            )
 
 
 def _notes(probe: ProbeRecord, place: tuple[float, float] | None) -> Iterator[str]:

@@ -97,6 +97,24 @@ def prepare(time_s: ArrayLike, elevation_m: ArrayLike, detrend: Detrend = "mean"
     return PreparedSeries(time, elevation - trend, weight, gap, mean, detrend, missing)
 
 
+def up_crossings(value: Series, dead_band_m: float = 0.0) -> NDArray[np.int64]:
+    """Sample before each zero up-crossing.
+
+    Parameters
+    ----------
+    value
+        (samples,) float64, metres.
+    dead_band_m
+        A crossing counts only when the series was below minus this before and is above it after; of several
+        crossings in between the last one is taken.
+    """
+    clear = np.flatnonzero(np.abs(value) > dead_band_m)
+    above = value[clear] > 0
+    risen = clear[1:][above[1:] & ~above[:-1]]
+    candidates = np.flatnonzero((value[:-1] <= 0) & (value[1:] > 0))
+    return candidates[np.searchsorted(candidates, risen) - 1]
+
+
 def crossing_times(time: Series, value: Series, before: NDArray[np.int64]) -> Series:
     """Times of linearly interpolated crossings between each sample in `before` and the next."""
     low, high = value[before], value[before + 1]
@@ -124,5 +142,5 @@ def _trend(time: Series, value: Series, weight: Series, kind: Detrend) -> tuple[
 
 def _typical_period(time: Series, value: Series) -> float:
     """Median distance of up-crossings, before gaps are known; the whole record when there is no wave."""
-    crossings = crossing_times(time, value, np.flatnonzero((value[:-1] <= 0) & (value[1:] > 0)))
+    crossings = crossing_times(time, value, up_crossings(value))
     return float(np.median(np.diff(crossings))) if crossings.size > 1 else float(time[-1] - time[0])

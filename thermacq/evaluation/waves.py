@@ -19,7 +19,15 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thermacq.evaluation.series import Detrend, PreparedSeries, Series, WaveError, crossing_times, prepare
+from thermacq.evaluation.series import (
+    Detrend,
+    PreparedSeries,
+    Series,
+    WaveError,
+    crossing_times,
+    prepare,
+    up_crossings,
+)
 
 Crossing: TypeAlias = Literal["up", "down"]
 Crest: TypeAlias = Literal["parabola", "sample"]
@@ -73,6 +81,7 @@ class WaveStatistics:
     crossing: Crossing
     detrend: Detrend
     crest: Crest
+    dead_band_m: float
     samples: int
     missing: int
     gaps: int
@@ -88,12 +97,18 @@ class WaveStatistics:
     spectral_height_m: float
     mean_period_s: float
     mean_period_sem_s: float
+    shortest_period_s: float
     spectral_period_s: float
     peak_period_s: float
     first_harmonic_amplitude_m: float
 
 
-def single_waves(series: PreparedSeries, crossing: Crossing = "up", crest: Crest = "parabola") -> Waves:
+def single_waves(
+    series: PreparedSeries,
+    crossing: Crossing = "up",
+    crest: Crest = "parabola",
+    dead_band_m: float = 0.0,
+) -> Waves:
     """Waves between zero up-crossings (or down-crossings).
 
     Parameters
@@ -104,6 +119,9 @@ def single_waves(series: PreparedSeries, crossing: Crossing = "up", crest: Crest
         Direction of the crossings.
     crest
         Whether crest and trough are interpolated by parabolas or the extreme samples are taken.
+    dead_band_m
+        Crossings by less than this either way are not counted, so that noise at the zero level makes no
+        waves; 0 counts every crossing.
 
     Raises
     ------
@@ -111,7 +129,7 @@ def single_waves(series: PreparedSeries, crossing: Crossing = "up", crest: Crest
         There is no complete wave.
     """
     value = series.elevation_m if crossing == "up" else -series.elevation_m
-    before = np.flatnonzero((value[:-1] <= 0) & (value[1:] > 0))
+    before = up_crossings(value, dead_band_m)
     cross_s = crossing_times(series.time_s, value, before)
     gaps_until = np.concatenate(([0], np.cumsum(series.gap)))
     # A wave needs the steps from its first crossing to its last one, both included, free of gaps.
@@ -203,6 +221,7 @@ def wave_statistics(
     crossing: Crossing = "up",
     detrend: Detrend = "mean",
     crest: Crest = "parabola",
+    dead_band_m: float = 0.0,
 ) -> WaveStatistics:
     """All statistics of one elevation series.
 
@@ -218,6 +237,8 @@ def wave_statistics(
         What is removed before crossings are sought.
     crest
         Whether crests and troughs are interpolated.
+    dead_band_m
+        As in `single_waves`.
 
     Raises
     ------
@@ -225,7 +246,7 @@ def wave_statistics(
         The series cannot be analysed; the message says why.
     """
     series = prepare(time_s, elevation_m, detrend)
-    waves = single_waves(series, crossing, crest)
+    waves = single_waves(series, crossing, crest, dead_band_m)
     height, period = waves.height_m, waves.period_s
     mean_period = float(period.mean())
     peak_period, spectral_period = _spectral_periods(*spectrum(series, mean_period), _BAND / mean_period)
@@ -235,6 +256,7 @@ def wave_statistics(
         crossing=crossing,
         detrend=detrend,
         crest=crest,
+        dead_band_m=dead_band_m,
         samples=series.time_s.size,
         missing=series.missing,
         gaps=int(np.count_nonzero(series.gap)),
@@ -250,6 +272,7 @@ def wave_statistics(
         spectral_height_m=4 * float(np.sqrt(variance)),
         mean_period_s=mean_period,
         mean_period_sem_s=_standard_error(period),
+        shortest_period_s=float(period.min()),
         spectral_period_s=spectral_period,
         peak_period_s=peak_period,
         first_harmonic_amplitude_m=fit_harmonic(series, mean_period).amplitude_m,

@@ -114,9 +114,10 @@ def bootstrap_note(comparison: Comparison) -> str:
 
 def statistics_rows(waves: WaveStatistics) -> list[tuple[str, str, str]]:
     """All statistics of one series with their definitions."""
+    dead_band = f", dead band {1000 * waves.dead_band_m:g} mm" if waves.dead_band_m else ""
     crests = "parabola through crest and trough" if waves.crest == "parabola" else "extreme samples"
     return [
-        ("waves", str(waves.waves), f"between zero {waves.crossing}-crossings"),
+        ("waves", str(waves.waves), f"between zero {waves.crossing}-crossings{dead_band}"),
         ("waves left out", str(waves.waves_lost_to_gaps), "they touch a gap"),
         (
             "mean height H̄",
