@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from thermacq.errors import StoreError
 from thermacq.rig import Rig
@@ -36,6 +36,14 @@ if TYPE_CHECKING:
 
 _MAX_PIXELS = 1 << 28
 _MAX_DEVICES = 256
+
+
+@dataclass(frozen=True)
+class _Streams:
+    """The devices of a run as stored."""
+
+    cameras: list[CameraStream]
+    probes: list[ProbeStream]
 
 
 @dataclass(frozen=True)
@@ -80,30 +88,21 @@ class RunFile:
         if version != layout.FORMAT_VERSION:
             raise StoreError(f"'{path}' has format version {version}; this program reads 1")
         self._details = details
-        self.header = RunHeader(
-            **untrusted.get_json(details, "header"),
-            rig=untrusted.get_json(details, "rig"),
-            calibration=untrusted.get_json(details, "calibration"),
-            versions=untrusted.get_json(details, "versions"),
-        )
+        parts = {name: untrusted.get_json(details, name) for name in ("rig", "calibration", "versions")}
+        header = untrusted.get_json(details, "header")
+        self.header = TypeAdapter(RunHeader).validate_python({**header, **parts})
         self.complete = untrusted.get_scalar(details, "finished") == 1
         self.end_reason = untrusted.get_text(details, "end_reason")
         self.end_time = untrusted.get_text(entry, "end_time")
         file_bytes = path.stat().st_size
-        streams = untrusted.get_json(details, "streams")
-        if len(streams["cameras"]) + len(streams["probes"]) > _MAX_DEVICES:
-            raise StoreError(f"'{path}' claims more than {_MAX_DEVICES} devices")
+        streams = TypeAdapter(_Streams).validate_python(untrusted.get_json(details, "streams"))
+        if len(streams.cameras) + len(streams.probes) > _MAX_DEVICES:
+            raise ValueError(f"it claims more than {_MAX_DEVICES} devices")
         instrument = untrusted.get_group(entry, "instrument")
         self._cameras = {
-            values["name"]: _read_camera(instrument, CameraStream(**values), file_bytes)
-            for values in streams["cameras"]
+            stream.name: _read_camera(instrument, stream, file_bytes) for stream in streams.cameras
         }
-        self._probes = {
-            values["name"]: _read_probe(
-                instrument, ProbeStream(**{**values, "channels": tuple(values["channels"])}), file_bytes
-            )
-            for values in streams["probes"]
-        }
+        self._probes = {stream.name: _read_probe(instrument, stream, file_bytes) for stream in streams.probes}
         self._events = _table(untrusted.get_group(entry, "events"), layout.EVENT_COLUMNS, file_bytes)
 
     @property
@@ -271,21 +270,21 @@ def open_run(path: Path | str) -> RunFile:
 
 
 def _read_camera(instrument: h5py.Group, stream: CameraStream, file_bytes: int) -> _Camera:
-    rows, columns = int(stream.rows), int(stream.columns)
+    rows, columns = stream.rows, stream.columns
     if rows < 1 or columns < 1 or rows * columns > _MAX_PIXELS:
-        raise StoreError(f"camera '{stream.name}' claims pictures of {rows} x {columns} pixels")
+        raise ValueError(f"camera '{stream.name}' claims pictures of {rows} x {columns} pixels")
     detector = untrusted.get_group(instrument, stream.name)
     data = untrusted.get_dataset(detector, "data")
     if data.dtype != np.uint16 or data.shape[1:] != (rows, columns) or data.chunks != (1, rows, columns):
-        raise StoreError(f"the pictures of camera '{stream.name}' are not stored as they must be")
+        raise ValueError(f"the pictures of camera '{stream.name}' are not stored as they must be")
     properties = data.id.get_create_plist()
     filters = [properties.get_filter(number) for number in range(properties.get_nfilters())]
     if [number for number, *_ in filters] not in ([], [BLOSC_FILTER]):
-        raise StoreError(f"the pictures of camera '{stream.name}' are compressed in an unknown way")
+        raise ValueError(f"the pictures of camera '{stream.name}' are compressed in an unknown way")
     compression = compression_of(filters[0][2]) if filters else "none"
     table = _table(untrusted.get_group(detector, layout.DETAILS), layout.FRAME_COLUMNS, file_bytes)
     if table.committed > data.shape[0]:
-        raise StoreError(f"camera '{stream.name}' claims more frames than there are")
+        raise ValueError(f"camera '{stream.name}' claims more frames than there are")
     return _Camera(stream, data, compression, table)
 
 
@@ -295,9 +294,9 @@ def _read_probe(instrument: h5py.Group, stream: ProbeStream, file_bytes: int) ->
     value = untrusted.get_dataset(group, "value")
     channels = len(stream.channels)
     if value.dtype != np.float64 or value.shape[1:] != (channels,) or value.shape[0] < table.committed:
-        raise StoreError(f"the samples of probe '{stream.name}' are not stored as they must be")
+        raise ValueError(f"the samples of probe '{stream.name}' are not stored as they must be")
     if value.id.get_create_plist().get_nfilters() or table.committed * channels * 8 > file_bytes:
-        raise StoreError(f"probe '{stream.name}' claims more samples than the file can hold")
+        raise ValueError(f"probe '{stream.name}' claims more samples than the file can hold")
     columns = {**table.columns, "value": value}
     pulses = _table(untrusted.get_group(group, "pulses"), {"ticks": ("i8", "")}, file_bytes)
     return _Probe(stream, _Table(columns, table.committed), pulses)
@@ -305,13 +304,15 @@ def _read_probe(instrument: h5py.Group, stream: ProbeStream, file_bytes: int) ->
 
 def _table(group: h5py.Group, columns: dict[str, tuple[str, str]], file_bytes: int) -> _Table:
     """Check the columns of a table: type, length, and that the file is large enough to hold them."""
-    committed = int(untrusted.get_scalar(group, layout.COMMITTED))
+    committed = untrusted.get_scalar(group, layout.COMMITTED)
+    if committed < 0:
+        raise ValueError(f"'{group.name}' claims {committed} rows")
     found = {}
     for name, (dtype, _) in columns.items():
         column = untrusted.get_dataset(group, name)
         if column.dtype != np.dtype(dtype) or column.ndim != 1 or column.shape[0] < committed:
-            raise StoreError(f"the column '{column.name}' is not stored as it must be")
+            raise ValueError(f"the column '{column.name}' is not stored as it must be")
         if column.id.get_create_plist().get_nfilters() or committed * column.dtype.itemsize > file_bytes:
-            raise StoreError(f"'{column.name}' claims more rows than the file can hold")
+            raise ValueError(f"'{column.name}' claims more rows than the file can hold")
         found[name] = column
     return _Table(found, committed)

@@ -1,7 +1,7 @@
 """Access to HDF5 files that are not to be trusted, or whose writer was killed.
 
 Only hard links to plain groups and datasets inside the file are followed, text is bounded, and whatever
-HDF5 raises on damage becomes a `StoreError`.
+HDF5 raises on damage becomes a `StoreError`; the getters are for use inside `explained`.
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ def get_member(group: h5py.Group, name: object) -> Any:
     import h5py
 
     if not isinstance(name, str) or "/" in name or name in ("", "."):
-        raise StoreError(f"'{name}' is no name of a device")
+        raise ValueError(f"'{name}' is no name of a device")
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        raise StoreError(f"'{group.name}' of '{group.file.filename}' has no member '{name}' of its own")
+        raise TypeError(f"'{group.name}' has no member '{name}' of its own")
     return group[name]
 
 
@@ -107,7 +107,7 @@ def get_group(parent: h5py.Group, name: str) -> h5py.Group:
 
     member = get_member(parent, name)
     if not isinstance(member, h5py.Group):
-        raise StoreError(f"'{member.name}' should be a group")
+        raise TypeError(f"'{member.name}' should be a group")
     return member
 
 
@@ -117,9 +117,9 @@ def get_dataset(parent: h5py.Group, name: str) -> h5py.Dataset:
 
     member = get_member(parent, name)
     if not isinstance(member, h5py.Dataset):
-        raise StoreError(f"'{member.name}' should be a dataset")
+        raise TypeError(f"'{member.name}' should be a dataset")
     if member.is_virtual or member.external or member.dtype.hasobject:
-        raise StoreError(f"'{member.name}' takes its data from elsewhere, or is of an unknown type")
+        raise ValueError(f"'{member.name}' takes its data from elsewhere, or is of an unknown type")
     return member
 
 
@@ -127,7 +127,7 @@ def get_scalar(group: h5py.Group, name: str) -> int:
     """A whole number."""
     dataset = get_dataset(group, name)
     if dataset.shape != () or dataset.dtype.kind not in "iu":
-        raise StoreError(f"'{dataset.name}' should be one whole number")
+        raise ValueError(f"'{dataset.name}' should be one whole number")
     return int(dataset[()])
 
 
@@ -135,7 +135,7 @@ def get_text(group: h5py.Group, name: str) -> str:
     """A text of fixed size."""
     dataset = get_dataset(group, name)
     if dataset.shape != () or dataset.dtype.kind != "S" or dataset.dtype.itemsize > _MAX_TEXT_BYTES:
-        raise StoreError(f"'{dataset.name}' should be a text")
+        raise ValueError(f"'{dataset.name}' should be a text")
     return bytes(dataset[()]).decode()
 
 
