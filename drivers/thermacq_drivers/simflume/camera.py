@@ -35,9 +35,8 @@ from thermacq_drivers.simflume.exposures import (
     sleep_until,
 )
 from thermacq_drivers.simflume.line import LineReader
-from thermacq_drivers.simflume.mounting import Mounting, build_camera
-from thermacq_drivers.simflume.projection import check_view
-from thermacq_drivers.simflume.scene import View, build_surface, build_view
+from thermacq_drivers.simflume.mounting import Mounting
+from thermacq_drivers.simflume.scene import View, build_view, check_scene
 from thermacq_drivers.simflume.seeds import generator
 from thermacq_drivers.simflume.sensor import BIT_DEPTH, Sensor, SensorSettings
 from thermacq_drivers.simflume.settings import SceneSettings, parse_scene
@@ -103,15 +102,14 @@ class SimulatedCamera:
         return DeviceIdentity("sim-camera", "simulated LWIR camera", f"SIM-{self._name}", "1")
 
     def configure(self, settings: Settings) -> Settings:
-        """Check settings and scene, and that the camera can look at the water from where it stands."""
+        """Check settings and scene, and that the camera can see it from where it stands."""
         self._require_open("configure")
         checked = check_settings(CameraSettings, settings, self._name)
         scene = parse_scene(self._context.scene)
-        if scene.view == "water":
-            try:
-                check_view(build_camera(checked), build_surface(scene))
-            except ValueError as error:
-                raise self._fault(DeviceFault, "configure", str(error)) from None
+        try:
+            check_scene(scene, checked)
+        except ValueError as error:
+            raise self._fault(DeviceFault, "configure", str(error)) from None
         self._settings, self._scene = checked, scene
         return checked.model_dump()
 

@@ -18,7 +18,6 @@ from thermacq_drivers.simflume.line import LineReader
 _POLL_NS = 20_000_000
 _LINE_POLL_S = 0.0005
 _QUEUED_EXPOSURES = 3
-# In real time a camera keeps this many exposures; older ones are overwritten and lost.
 
 
 @dataclass(frozen=True)
@@ -51,11 +50,14 @@ class FreeRun:
         Host clock.
     period_ns
         Period in host time, the drift of the camera's clock included.
+    queued
+        Exposures that the camera keeps for a late host; older ones are overwritten and lost.
     """
 
-    def __init__(self, clock: Clock, period_ns: float) -> None:
+    def __init__(self, clock: Clock, period_ns: float, queued: int = _QUEUED_EXPOSURES) -> None:
         self._clock = clock
         self._period_ns = period_ns
+        self._queued = queued
         self._start_ns = -1
         self._number = 0
 
@@ -64,8 +66,8 @@ class FreeRun:
         if self._start_ns < 0:
             self._start_ns = self._clock.now_ns()
         late = int((self._clock.now_ns() - self._start_ns) / self._period_ns) - self._number
-        if late > _QUEUED_EXPOSURES:
-            self._number += late - _QUEUED_EXPOSURES
+        if late > self._queued:
+            self._number += late - self._queued
         due_ns = self._start_ns + round(self._number * self._period_ns)
         sleep_until(self._clock, due_ns, host)
         if host.stopping():
@@ -126,12 +128,17 @@ class LineTriggers:
         The line's reading end.
     timeout_s
         Longest wait for a pulse.
+    queued
+        Exposures that the camera keeps for a late host; in virtual time it is never late.
     """
 
-    def __init__(self, clock: Clock, line: LineReader, timeout_s: float) -> None:
+    def __init__(
+        self, clock: Clock, line: LineReader, timeout_s: float, queued: int = _QUEUED_EXPOSURES
+    ) -> None:
         self._clock = clock
         self._line = line
         self._timeout_s = timeout_s
+        self._queued = queued
         self._number = 0
 
     def next(self, host: StreamHost) -> Exposure | None:
@@ -146,7 +153,7 @@ class LineTriggers:
             elif time.monotonic() >= deadline:
                 raise TimeoutError(f"no pulse on the trigger line within {self._timeout_s:g} s")
             time.sleep(_LINE_POLL_S)
-        while not self._clock.is_virtual and self._line.waiting > _QUEUED_EXPOSURES:
+        while not self._clock.is_virtual and self._line.waiting > self._queued:
             self._line.take()
             self._number += 1
         index, pulse_ns = self._line.take()

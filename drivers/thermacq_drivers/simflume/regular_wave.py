@@ -19,7 +19,7 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy.optimize import brentq
+from scipy.optimize import brentq, newton
 
 from thermacq_drivers.simflume.surfaces import Floats
 
@@ -148,13 +148,14 @@ def solve_wave(period_s: float, steepness: float, depth_m: float, phase_rad: flo
     def fenton(length_m: float) -> raschii.FentonWave:
         return raschii.FentonWave(height=steepness * length_m, depth=depth_m, length=length_m, N=ORDER)
 
+    # Stokes' third order is a good first guess: ω² = g k (1 + (ka)²) in deep water.
+    guess_m = linear_m * (1 + (math.pi * steepness) ** 2)
     try:
-        # Nonlinearity lengthens a wave of given period, by less than 30 %.
-        length_m = brentq(
-            lambda length_m: fenton(length_m).period - period_s, 0.9 * linear_m, 1.3 * linear_m, xtol=1e-10
+        length_m = newton(
+            lambda length_m: fenton(length_m).period - period_s, guess_m, x1=1.003 * guess_m, tol=1e-11
         )
-        return _derive(fenton(length_m), phase_rad)
-    except (raschii.RaschiiError, ValueError) as error:
+        return _derive(fenton(float(length_m)), phase_rad)
+    except (raschii.RaschiiError, RuntimeError) as error:
         raise ValueError(f"no wave with T = {period_s} s and H/λ = {steepness}: {error}") from None
 
 

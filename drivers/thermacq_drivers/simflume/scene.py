@@ -115,6 +115,14 @@ class BoardView:
         return board_pose(self._settings.chessboard, self._settings.seed, view, self._pair)
 
 
+def check_scene(settings: SceneSettings, mounting: Mounting) -> None:
+    """Refuse a camera that cannot see the scene from where it stands; raises `ValueError`."""
+    if settings.view == "chessboard":
+        board_pose(settings.chessboard, settings.seed, 0, nominal_pair(mounting))
+    else:
+        check_view(build_camera(mounting), build_surface(settings))
+
+
 def build_view(settings: SceneSettings, mounting: Mounting) -> View:
     """What a camera with this mounting sees of the scene; raises `ValueError` when it cannot see it."""
     camera = build_camera(mounting)

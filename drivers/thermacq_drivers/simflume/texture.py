@@ -10,6 +10,8 @@ OpenCV 5 samples that exactly; OpenCV 4 rounds places to 1/32 of the grid, 8 µm
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +103,7 @@ def grid_place(label_m: Floats) -> Floats:
     return place
 
 
+@lru_cache(maxsize=1)
 def _random_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
     """Periodic Gaussian field, (4096, 4096) float32, kelvin; rows along x, columns along y.
 

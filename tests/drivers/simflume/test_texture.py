@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from thermacq_drivers.simflume.settings import TextureSettings
+from thermacq_drivers.simflume.texture import PERIOD_M, ThermalTexture, grid_place
+
+
+def sample(texture: ThermalTexture, x_m: np.ndarray, y_m: np.ndarray, time_s: float) -> np.ndarray:
+    x, y = np.broadcast_arrays(x_m, y_m)
+    return texture.sample(grid_place(x).astype(np.float32), grid_place(y).astype(np.float32), time_s)
+
+
+@pytest.fixture(scope="module")
+def texture() -> ThermalTexture:
+    return ThermalTexture(TextureSettings(), seed=3)
+
+
+WHOLE = np.arange(0, 1.024, 0.001)
+
+
+def test_strength_is_as_asked_at_any_time(texture: ThermalTexture) -> None:
+    for time_s in (0.0, 1.0, 2.0, 3.9, 100.7):
+        seen = sample(texture, WHOLE[:, None], WHOLE[None, :], time_s)
+        assert seen.std() == pytest.approx(0.3, rel=0.1)
+        assert abs(seen.mean()) < 0.02
+
+
+def test_correlation_lengths_and_streaks(texture: ThermalTexture) -> None:
+    seen = sample(texture, WHOLE[:, None], WHOLE[None, :], 0.0)
+    lags_m = np.array([0.002, 0.004, 0.008, 0.016])
+    lengths_m = np.array([0.003, 0.008, 0.024])
+    expected = np.exp(-0.5 * (lags_m[:, None] / lengths_m) ** 2).mean(axis=1)
+    for lag_m, correlation in zip(lags_m, expected, strict=True):
+        across, along = round(lag_m / 0.001), round(2.5 * lag_m / 0.001)
+        variance = seen.var()
+        assert np.mean(seen * np.roll(seen, across, axis=1)) / variance == pytest.approx(
+            correlation, abs=0.06
+        )
+        assert np.mean(seen * np.roll(seen, along, axis=0)) / variance == pytest.approx(correlation, abs=0.06)
+
+
+def test_the_pattern_is_replaced_in_its_lifetime(texture: ThermalTexture) -> None:
+    def seen(time_s: float) -> np.ndarray:
+        return sample(texture, WHOLE[:, None], WHOLE[None, :], time_s).ravel()
+
+    assert np.corrcoef(seen(1.0), seen(1.02))[0, 1] > 0.999
+    assert np.corrcoef(seen(0.0), seen(2.0))[0, 1] == pytest.approx(np.cos(np.pi / 4), abs=0.1)
+    assert abs(np.corrcoef(seen(0.0), seen(8.0))[0, 1]) < 0.2
+
+
+def test_it_repeats_after_its_period_only(texture: ThermalTexture) -> None:
+    x, y = np.linspace(0, 0.4, 60)[:, None], np.linspace(-0.3, 0.3, 80)[None, :]
+    here = sample(texture, x, y, 0.5)
+    np.testing.assert_allclose(sample(texture, x + 7 * PERIOD_M, y - PERIOD_M, 0.5), here, atol=2e-3)
+    assert np.abs(sample(texture, x + 0.5, y, 0.5) - here).max() > 0.3
+
+
+def test_sampling_places_the_pattern_to_a_hundredth_of_a_pixel(texture: ThermalTexture) -> None:
+    # An exact bilinear sampling of the same grid; a pixel of the paper's camera sees 0.92 mm.
+    random = np.random.default_rng(2)
+    rows = random.uniform(10, 4000, (50, 60)).astype(np.float32)
+    columns = random.uniform(10, 4000, (50, 60)).astype(np.float32)
+    field = texture._field
+    exact = map_coordinates(field.astype(np.float64), [rows, columns], order=1)
+    import cv2
+
+    sampled = cv2.remap(field, columns, rows, cv2.INTER_LINEAR)
+    gradient_k_per_step = np.diff(field, axis=1).std()
+    steps_per_pixel = 0.92 / 0.25
+    error_px = (sampled - exact).std() / gradient_k_per_step / steps_per_pixel
+    assert error_px < 0.01
+
+
+def test_equal_seeds_give_equal_patterns() -> None:
+    x, y = np.linspace(0, 0.1, 20)[:, None], np.linspace(0, 0.1, 20)[None, :]
+    settings = TextureSettings(rms_k=0.5)
+    first = sample(ThermalTexture(settings, 5), x, y, 1.0)
+    np.testing.assert_array_equal(sample(ThermalTexture(settings, 5), x, y, 1.0), first)
+    assert np.abs(sample(ThermalTexture(settings, 6), x, y, 1.0) - first).max() > 0.1
+
+
+def test_no_texture_at_all_is_legal() -> None:
+    flat = ThermalTexture(TextureSettings(rms_k=0.0), 1)
+    assert not sample(flat, np.zeros((3, 1)), np.zeros((1, 3)), 0.0).any()
