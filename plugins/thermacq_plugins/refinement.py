@@ -111,8 +111,10 @@ def _correlation(left: Picture, warped: Picture, trusted: Mask, sigma_px: float)
         )
         return np.asarray(square - mean * mean, np.float32)
 
-    energy = np.maximum(variance(left) + variance(warped), _TINY)
-    return window.enlarge(1.0 - variance(warped - left) / energy)
+    energy = variance(left) + variance(warped)
+    # Half a thousandth of a count is no texture, however well it agrees.
+    unlike = variance(warped - left) / np.maximum(energy, _TINY)
+    return window.enlarge(np.where(energy > _TINY, 1.0 - unlike, np.float32(0)))
 
 
 def _smooth_start(disparity: Picture, sigma_px: float) -> tuple[Picture, Mask]:

@@ -63,10 +63,13 @@ class Scene:
 
     def disparity(self, u: np.ndarray, v: np.ndarray, time_s: float = 0.0) -> np.ndarray:
         """Rays intersected with the surface by fixed-point iteration."""
-        rays = np.stack(
-            [(u - self.centre[0]) / self.focal_px, (v - self.centre[1]) / self.focal_px, np.ones_like(u)],
-            axis=-1,
-        ) @ self.rotation.T
+        rays = (
+            np.stack(
+                [(u - self.centre[0]) / self.focal_px, (v - self.centre[1]) / self.focal_px, np.ones_like(u)],
+                axis=-1,
+            )
+            @ self.rotation.T
+        )
         z = self.height_m / -rays[..., 2]
         for _ in range(10):
             eta = self.elevation(z * rays[..., 0], z * rays[..., 1], time_s)

@@ -60,7 +60,6 @@ def still_water(
         world = find_world_frame(
             source, folder, how="still water", workers=workers or _cores(), progress=progress
         )
-    _remove_when_empty(folder)
     check_flat(world, None if max_sigma_mm is None else max_sigma_mm / 1000.0)
     world.save(output)
     if as_json:
@@ -210,12 +209,6 @@ def _resumable(folder: Path) -> Iterator[None]:
             f"interrupted; {kept} finished parts are kept in '{folder}'. Run the same command again to go on."
         )
         raise typer.Exit(EXIT_INTERRUPTED) from None
-
-
-def _remove_when_empty(folder: Path) -> None:
-    """Parts of other settings stay; only an empty folder goes."""
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
 
 
 def _show_world(world: WorldFrame) -> None:

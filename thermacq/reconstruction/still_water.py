@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from pathlib import Path
 from typing import Any
@@ -57,9 +58,10 @@ def find_world_frame(
     mean = DisparityMean.empty((rows, columns))
     for part in read_parts(job):
         mean = mean.merge(DisparityMean(part["count"], part["mean_px"], part["square_px2"]))
-    frame = _frame_on(mean, source, len(pairs), how)
     shutil.rmtree(job.folder)
-    return frame
+    with contextlib.suppress(OSError):
+        parts_folder.rmdir()  # only when no parts of other work are in it
+    return _frame_on(mean, source, len(pairs), how)
 
 
 def check_flat(frame: WorldFrame, largest_sigma_m: float | None = None) -> None:
