@@ -8,7 +8,6 @@ bit-shuffled LZ4 (a smooth scene with a noise of 6 counts).
 
 from __future__ import annotations
 
-import time
 import zlib
 from collections.abc import Iterator
 from typing import Any
@@ -30,14 +29,21 @@ from thermacq.devices import (
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceOverrun, DeviceTimeout, IncompleteFrame
 from thermacq.hooks import Driver, Evidence
 from thermacq.settings import check_settings
+from thermacq_drivers.simflume.exposures import (
+    ExposureSource,
+    FreeRun,
+    LineTriggers,
+    SoftwareTriggers,
+    sleep_until,
+)
+from thermacq_drivers.simflume.line import LineReader
 
 MAX_FRAME_RATE_HZ = 1000.0
-MODES = frozenset({TriggerMode.FREE_RUN, TriggerMode.SOFTWARE})
 
 _MAGIC = 0x7EAC
 _POOL = 16
-_BUFFERED_FRAMES = 64
-_POLL_NS = 20_000_000
+# Frames that the camera keeps for a late host; older ones are overwritten, and missing from the counter.
+_QUEUED_FRAMES = 64
 # The header lies in the first pixels: what it says, then its own checksum. The body is all the rest.
 _HEADER = np.dtype([("magic", "<u2"), ("pattern", "<u2"), ("number", "<u8"), ("body_crc", "<u4")])
 _HEADER_BYTES = _HEADER.itemsize
@@ -60,6 +66,7 @@ class PatternSettings(BaseModel):
     stall_at_frame: int = Field(-1, ge=-1, description="the camera falls silent here")
     fail_at_frame: int = Field(-1, ge=-1, description="the camera is unplugged here")
     timeout_s: float = Field(2.0, gt=0, le=60, description="longest wait for a trigger or a frame")
+    line: str = Field("trigger", pattern=r"^[\w-]+$", description="trigger line, for mode 'hardware'")
 
 
 class PatternCamera:
@@ -68,15 +75,12 @@ class PatternCamera:
     def __init__(self, context: DeviceContext) -> None:
         self._name = context.name
         self._clock = context.clock
+        self._runtime_dir = context.runtime_dir
         self._settings = PatternSettings()
         self._pool: list[tuple[Counts, int]] = []
-        self._mode: TriggerMode | None = None
-        self._period_ns = 0
+        self._exposures: ExposureSource | None = None
         self._opened_ns = 0
-        self._start_ns = -1
-        self._number = 0
         self._last_good = -1
-        self._trigger: tuple[int, int] | None = None
 
     @property
     def capabilities(self) -> CameraCapabilities:
@@ -87,7 +91,7 @@ class PatternCamera:
             columns=settings.columns,
             bit_depth=16,
             max_frame_rate_hz=MAX_FRAME_RATE_HZ,
-            trigger_modes=MODES,
+            trigger_modes=frozenset(TriggerMode),
             tick_rate_hz=settings.tick_rate_hz,
             counter_bits=settings.counter_bits,
         )
@@ -105,110 +109,84 @@ class PatternCamera:
 
     def arm(self, mode: TriggerMode, frame_rate_hz: float) -> None:
         """Draw the pictures and start counting from 0."""
-        if mode not in MODES:
-            modes = ", ".join(sorted(MODES))
-            raise self._fault(DeviceFault, f"trigger mode '{mode}' is not one of: {modes}", stage="arm")
+        self.disarm()
         if not 0 < frame_rate_hz <= MAX_FRAME_RATE_HZ:
             what = f"{frame_rate_hz:g} frames/s asked, at most {MAX_FRAME_RATE_HZ:g} possible"
-            raise self._fault(DeviceFault, what, stage="arm")
+            raise self._fault(DeviceFault, "arm", what)
         self._pool = [_draw(self._settings.rows, self._settings.columns, seed) for seed in range(_POOL)]
-        self._period_ns = round(1e9 / frame_rate_hz)
-        self._start_ns = -1
-        self._number = 0
         self._last_good = -1
-        self._trigger = None
-        self._mode = mode
+        self._exposures = self._make_exposures(mode, frame_rate_hz)
+
+    def _make_exposures(self, mode: TriggerMode, frame_rate_hz: float) -> ExposureSource:
+        settings = self._settings
+        if mode is TriggerMode.SOFTWARE:
+            return SoftwareTriggers(self._clock, settings.timeout_s)
+        if mode is TriggerMode.HARDWARE:
+            line = LineReader(self._runtime_dir, settings.line)
+            return LineTriggers(self._clock, line, settings.timeout_s, _QUEUED_FRAMES)
+        return FreeRun(self._clock, 1e9 / frame_rate_hz, _QUEUED_FRAMES)
 
     def trigger(self, index: int) -> None:
         """Expose now."""
-        self._trigger = (index, self._clock.now_ns())
+        if not isinstance(self._exposures, SoftwareTriggers):
+            raise self._fault(DeviceFault, "trigger", "it is not armed for software triggers")
+        self._exposures.call(index)
 
     def frames(self, host: FrameHost) -> Iterator[Frame]:
         """Yield pictures, and act out the faults that the settings order."""
-        while not host.stopping() and self._mode is not None:
-            self._raise_ordered_fault(host)
-            exposure = self._wait_for_exposure(host)
+        settings = self._settings
+        while (source := self._exposures) is not None:
+            try:
+                exposure = source.next(host)
+            except TimeoutError as error:
+                raise self._fault(DeviceTimeout, "acquire", str(error)) from None
             if exposure is None:
                 return
-            number, (index, exposed_ns) = self._number, exposure
-            self._number += 1
-            if self._is_lost(number):
+            number = exposure.number
+            self._act_out_fault(number, host)
+            if settings.lose_every > 0 and (number + 1) % settings.lose_every == 0:
+                if isinstance(source, SoftwareTriggers):
+                    # Whoever waits for a triggered frame must be told that it will not come.
+                    raise self._fault(IncompleteFrame, "acquire", f"frame {number} did not come")
                 continue
             counts = host.buffer()
             self._fill(counts, number)
             self._last_good = number
-            settings = self._settings
             yield Frame(
                 counts=counts,
                 counter=(settings.counter_start + number) % 2**settings.counter_bits,
-                ticks=round((exposed_ns - self._opened_ns) * settings.tick_rate_hz / 1e9),
+                ticks=round((exposure.start_ns - self._opened_ns) * settings.tick_rate_hz / 1e9),
                 host_ns=self._clock.now_ns(),
-                trigger_index=index,
+                trigger_index=exposure.trigger_index,
             )
 
     def disarm(self) -> None:
         """Stop."""
-        self._mode = None
-        self._trigger = None
+        if self._exposures is not None:
+            self._exposures.close()
+            self._exposures = None
 
     def close(self) -> None:
         """Let go of the pictures."""
         self.disarm()
         self._pool = []
 
-    def _wait_for_exposure(self, host: FrameHost) -> tuple[int, int] | None:
-        """Trigger index and host time of the next exposure; None when the host stops first."""
-        if self._mode is TriggerMode.FREE_RUN:
-            return self._wait_for_period(host)
-        deadline_ns = self._clock.now_ns() + round(self._settings.timeout_s * 1e9)
-        while self._trigger is None:
-            if host.stopping():
-                return None
-            if self._clock.now_ns() >= deadline_ns:
-                raise self._fault(DeviceTimeout, f"no trigger within {self._settings.timeout_s:g} s")
-            self._sleep_until(self._clock.now_ns() + _POLL_NS, host)
-        exposure, self._trigger = self._trigger, None
-        return exposure
-
-    def _wait_for_period(self, host: FrameHost) -> tuple[int, int] | None:
-        """Free run: frame n is exposed n periods after the first; a late host loses the oldest."""
-        if self._start_ns < 0:
-            self._start_ns = self._clock.now_ns()
-        due_ns = self._start_ns + self._number * self._period_ns
-        late = (self._clock.now_ns() - due_ns) // self._period_ns
-        if late > _BUFFERED_FRAMES:
-            self._number += late
-            raise self._fault(DeviceOverrun, f"{late} frames were not fetched in time")
-        self._sleep_until(due_ns, host)
-        return None if host.stopping() else (-1, due_ns)
-
-    def _sleep_until(self, due_ns: int, host: FrameHost) -> None:
-        """Wait without spinning: a simulated camera must not take the processor from the recorder."""
-        if self._clock.is_virtual:
-            self._clock.wait_until_ns(due_ns, host.stopping)
-        while (left_ns := due_ns - self._clock.now_ns()) > 0 and not host.stopping():
-            time.sleep(min(left_ns, _POLL_NS) / 1e9)
-
-    def _is_lost(self, number: int) -> bool:
-        """Whether this frame never leaves the camera; whoever waits for a triggered one is told."""
-        lost = self._settings.lose_every > 0 and (number + 1) % self._settings.lose_every == 0
-        if lost and self._mode is TriggerMode.SOFTWARE:
-            raise self._fault(IncompleteFrame, f"frame {number} did not come")
-        return lost
-
-    def _raise_ordered_fault(self, host: FrameHost) -> None:
-        settings, number = self._settings, self._number
+    def _act_out_fault(self, number: int, host: FrameHost) -> None:
+        """Raise the fault that the settings order for this frame."""
+        settings = self._settings
         if number == settings.fail_at_frame:
-            raise self._fault(DeviceDisconnected, "the camera is gone")
+            self.disarm()
+            raise self._fault(DeviceDisconnected, "acquire", "the camera is gone")
         if number == settings.stall_at_frame:
-            self._sleep_until(self._clock.now_ns() + round(settings.timeout_s * 1e9), host)
+            sleep_until(self._clock, self._clock.now_ns() + round(settings.timeout_s * 1e9), host)
             if not host.stopping():
-                raise self._fault(DeviceTimeout, f"no frame within {settings.timeout_s:g} s")
-        if number in (settings.incomplete_at_frame, settings.overrun_at_frame):
-            self._number += 1
-            if number == settings.incomplete_at_frame:
-                raise self._fault(IncompleteFrame, f"frame {number} arrived short")
-            raise self._fault(DeviceOverrun, f"frame {number} was overwritten before it was fetched")
+                raise self._fault(DeviceTimeout, "acquire", f"no frame within {settings.timeout_s:g} s")
+        if number == settings.incomplete_at_frame:
+            raise self._fault(IncompleteFrame, "acquire", f"frame {number} arrived short")
+        if number == settings.overrun_at_frame:
+            raise self._fault(
+                DeviceOverrun, "acquire", f"frame {number} was overwritten before it was fetched"
+            )
 
     def _fill(self, counts: Counts, number: int) -> None:
         pattern = number % _POOL
@@ -218,7 +196,7 @@ class PatternCamera:
         words = np.frombuffer(header + zlib.crc32(header).to_bytes(4, "little"), "<u2")
         counts[0, :_HEADER_PIXELS] = words
 
-    def _fault(self, kind: type[DeviceFault], what: str, stage: str = "acquire") -> DeviceFault:
+    def _fault(self, kind: type[DeviceFault], stage: str, what: str) -> DeviceFault:
         return kind(self._name, stage, what, last_frame=self._last_good)
 
 

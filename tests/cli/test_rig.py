@@ -102,7 +102,7 @@ def test_a_rig_that_fits(thermacq):
     assert "left  test pattern, serial TP-left (test-pattern, proven on: simulated)" in done.stdout
     assert "rows: asked 24, applied 24" in done.stdout
     assert "counter_bits 16" in done.stdout
-    assert "trigger_modes free_run/software" in done.stdout
+    assert "trigger_modes free_run/hardware/software" in done.stdout
     assert "everything fits" in done.stdout or "the disk here" in done.stdout
     assert done.stderr.strip() == ""
 
@@ -125,7 +125,7 @@ def test_misfits_end_with_status_3_and_are_all_in_the_json(thermacq):
     ):
         assert expected in messages
     left = answer["devices"][0]
-    assert left["capabilities"]["trigger_modes"] == ["free_run", "software"]
+    assert left["capabilities"]["trigger_modes"] == ["free_run", "hardware", "software"]
     assert left["applied"]["rows"] == 24
 
 
