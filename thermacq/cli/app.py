@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from thermacq.cli import calibration, common, devices, evaluation, reconstruction, recording, rig, store
+from thermacq.cli import calibration, common, demo, devices, evaluation, reconstruction, recording, rig, store
 from thermacq.cli.plugin_commands import GroupWithPlugins
 
 app = typer.Typer(
@@ -21,6 +21,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.command("demo")(demo.demo)
 app.command("plugins")(devices.plugins)
 app.command("devices")(devices.devices)
 app.add_typer(rig.app, name="rig")
