@@ -26,6 +26,7 @@ def test_parts_of_the_deviation():
     assert found.fixed_sd_m == pytest.approx(bump.std(), rel=0.02)
     assert found.cell_sd_m == pytest.approx(frames.std(axis=0, ddof=1))
     assert found.mean_deviation_m == pytest.approx(frames.mean(axis=0))
+    assert found.median_cell_sd_m == pytest.approx(0.001, rel=0.02)
     assert found.frames == 400
 
 

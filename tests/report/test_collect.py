@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import shutil
 
+import h5py
 import numpy as np
 import pytest
 
@@ -91,3 +92,31 @@ def test_a_damaged_product(measured_wave, tmp_path):
         stream.truncate(damaged.stat().st_size // 2)
     with pytest.raises(StoreError, match="cannot be read"):
         collect(damaged)
+
+
+@pytest.mark.parametrize(
+    "value", ["", "[]", "null", '{"a": ', "<b>", '{"kind": "thermacq world frame"}', 7.5]
+)
+def test_hostile_attributes_cost_only_their_part(measured_wave, tmp_path, value):
+    product = tmp_path / "hostile.nc"
+    shutil.copy(measured_wave.product, product)
+    with h5py.File(product, "r+") as file:
+        for name in list(file.attrs):
+            if not name.startswith("_") and name not in ("run_id", "Conventions"):
+                file.attrs[name] = value
+    page = tmp_path / "report.html"
+    notes = write_report(product, page, run=measured_wave.run)
+    assert any("frames and disparity are not shown" in note for note in notes)
+    assert "stereo / probe P1" in page.read_text(encoding="utf-8")
+    assert "<b>" not in page.read_text(encoding="utf-8").split("RMSE")[-1]
+
+
+def test_a_damaged_world_frame_costs_the_quantisation_error(measured_wave, tmp_path):
+    product = tmp_path / "frameless.nc"
+    shutil.copy(measured_wave.product, product)
+    with h5py.File(product, "r+") as file:
+        file.attrs["world_frame"] = "{}"
+    data = collect(product, run=measured_wave.run)
+    assert data.quantisation is None
+    assert data.sample is not None
+    assert any(note.startswith("no quantisation error") for note in data.notes)

@@ -34,6 +34,9 @@ class Flatness:
         Standard deviation of all cells and frames about that mean: the number below the paper's Fig. 11.
     fixed_sd_m, temporal_sd_m
         Its two parts: the spread of the mean map, and the root mean square of the spread over time.
+    median_cell_sd_m
+        Median of the cells' standard deviations over time: what the middle of the view achieves, whatever
+        the edges do; NaN for a single frame.
     plane_sd_m
         Overall standard deviation left after the mean plane is taken out.
     offset_m, slope_x, slope_y
@@ -53,6 +56,7 @@ class Flatness:
     overall_sd_m: float
     fixed_sd_m: float
     temporal_sd_m: float
+    median_cell_sd_m: float
     plane_sd_m: float
     offset_m: Grid
     slope_x: Grid
@@ -105,16 +109,18 @@ def flatness(frames: Iterable[NDArray[np.floating]], x_m: ArrayLike, y_m: ArrayL
     mean_map = np.where(seen, mean, np.nan)
     residual = mean_map - plane_at(fit_plane(mean_map, x, y), x, y)
     left = float((count * np.nan_to_num(residual) ** 2).sum() / total)
+    cell_sd = np.sqrt(np.divide(squares, count - 1, out=np.full_like(mean, np.nan), where=count > 1))
     return Flatness(
         x_m=x,
         y_m=y,
         mean_deviation_m=mean_map,
-        cell_sd_m=np.sqrt(np.divide(squares, count - 1, out=np.full_like(mean, np.nan), where=count > 1)),
+        cell_sd_m=cell_sd,
         seen_fraction=count / len(planes),
         mean_m=overall_mean,
         overall_sd_m=float(np.sqrt(fixed + temporal)),
         fixed_sd_m=float(np.sqrt(fixed)),
         temporal_sd_m=float(np.sqrt(temporal)),
+        median_cell_sd_m=float(np.nanmedian(cell_sd)) if (count > 1).any() else float("nan"),
         plane_sd_m=float(np.sqrt(left + temporal)),
         offset_m=plane[:, 0],
         slope_x=plane[:, 1],

@@ -120,7 +120,8 @@ def compare_run(
             iter(outcome.failures), ReconstructionError(f"'{run.path}' has no wave probe to compare with")
         )
     outcome.notes += _noise_notes(outcome.comparisons)
-    return RunComparison(tuple(outcome.comparisons), tuple(outcome.probes), tuple(outcome.notes))
+    notes = tuple(dict.fromkeys(outcome.notes))
+    return RunComparison(tuple(outcome.comparisons), tuple(outcome.probes), notes)
 
 
 def simulated_truth(run: RunFile, time_s: Series, x_m: float, y_m: float) -> Series | None:
@@ -170,7 +171,7 @@ class _Outcome:
             return action()
         except ThermacqError as error:
             self.failures.append(error)
-            self.notes.append(f"{what} is not compared: {error.what}")
+            self.notes.append(f"{what} is not compared: {error.what.removeprefix(f'{what}: ')}")
             return None
 
     def compare(self, what: str, action: Callable[[], Comparison | None]) -> None:

@@ -28,7 +28,7 @@ from thermacq.report.data import (
     SampleFrame,
     Surface,
 )
-from thermacq.report.provenance import json_attribute, provenance
+from thermacq.report.provenance import json_attribute, json_table, provenance
 from thermacq.store import RunFile, open_run
 from thermacq.timing import NS_PER_S
 from thermacq_calibration import CalibrationError
@@ -83,12 +83,15 @@ def collect(
         A file that was named is missing or cannot be read, or the run is not that of the product.
     """
     with open_product(product) as dataset:
+        if 0 in dataset.sizes.values():
+            raise StoreError(f"'{product}' holds no frames or no cells: there is nothing to report")
         index = int(dataset.sizes["time"]) // 2
         parts = _Parts()
         if run is not None:
             with open_run(run) as opened:
                 _from_run(parts, dataset, opened, index, calibration)
         still_flatness = _still(still, parts.notes) if still is not None else None
+        quantisation = _quantisation(dataset, parts)
         return ReportData(
             title=title or str(dataset.attrs.get("title", product.name)),
             created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -103,7 +106,7 @@ def collect(
             ),
             flatness=still_flatness,
             flatness_source=still.name if still else "",
-            quantisation=_quantisation(dataset, parts.source),
+            quantisation=quantisation,
             sync=parts.sync,
             events=parts.events,
             event_count=parts.event_count,
@@ -153,8 +156,8 @@ def _source(dataset: xr.Dataset, run: RunFile, calibration: Path | None) -> Sour
     source = open_source(
         run.path,
         calibration=calibration,
-        matcher=str(dataset.attrs["matcher"]),
-        settings=json_attribute(dataset, "matcher_settings", default={}),
+        matcher=str(dataset.attrs.get("matcher", "")),
+        settings=json_table(dataset, "matcher_settings"),
     )
     for what, found in (("run", source.run_sha256), ("calibration", source.calibration.sha256)):
         if dataset.attrs.get(f"{what}_sha256") != found:
@@ -216,13 +219,16 @@ def _still(path: Path, notes: list[str]) -> Flatness | None:
             return None
 
 
-def _quantisation(dataset: xr.Dataset, source: Source | None) -> Quantisation | None:
+def _quantisation(dataset: xr.Dataset, parts: _Parts) -> Quantisation | None:
     """Fig. 16 at the geometry of the rectified pair; needs the calibration, and so the run."""
-    values = json_attribute(dataset, "world_frame", default=None)
-    if source is None or values is None:
+    if parts.source is None:
         return None
-    world = WorldFrame.from_dict(values)
-    geometry = source.rectification
+    try:
+        world = WorldFrame.from_dict(json_table(dataset, "world_frame"))
+    except ThermacqError as error:
+        parts.notes.append(f"no quantisation error: {error.what}")
+        return None
+    geometry = parts.source.rectification
     centre, size = np.array(geometry.principal_point_px), np.array(geometry.image_size)
     half = np.maximum(centre, size - 1 - centre)
     # Distance along the optical axis to the water: the axis leans from the vertical by the tilt.

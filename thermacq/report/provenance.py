@@ -25,6 +25,12 @@ def json_attribute(dataset: xr.Dataset, name: str, *, default: Any) -> Any:
         return default
 
 
+def json_table(dataset: xr.Dataset, name: str) -> dict[str, Any]:
+    """Table in an attribute that was stored as JSON; empty when it is missing or is none."""
+    value = json_attribute(dataset, name, default={})
+    return value if isinstance(value, dict) else {}
+
+
 def provenance(
     path: Path, dataset: xr.Dataset, source: Source | None, compared: RunComparison | None
 ) -> dict[str, dict[str, str]]:
@@ -59,12 +65,12 @@ def provenance(
         },
         "Calibration": {
             "SHA-256": str(attributes.get("calibration_sha256", "unknown")),
-            "baseline": f"{1000 * float(attributes.get('baseline_m', 'nan')):.3f} mm",
-            "focal length": f"{float(attributes.get('focal_px', 'nan')):.2f} px",
+            "baseline": f"{1000 * _number(dataset, 'baseline_m'):.3f} mm",
+            "focal length": f"{_number(dataset, 'focal_px'):.2f} px",
         },
         "Matcher": {
             "name": str(attributes.get("matcher", "unknown")),
-            **_settings(json_attribute(dataset, "matcher_settings", default={})),
+            **{name: str(value) for name, value in json_table(dataset, "matcher_settings").items()},
         },
         "World frame": _world(dataset),
     }
@@ -88,12 +94,12 @@ def provenance(
 
 
 def _world(dataset: xr.Dataset) -> dict[str, str]:
-    values = json_attribute(dataset, "world_frame", default={})
+    values = json_table(dataset, "world_frame")
     return {
         "definition": str(dataset.attrs.get("world", "unknown")),
         "from": str(dataset.attrs.get("world_frame_from", "unknown")),
-        "camera height": f"{float(dataset.attrs.get('camera_height_m', 'nan')):.4f} m",
-        "single-frame σ on still water": f"{1000 * float(dataset.attrs.get('still_water_sigma_m', 'nan')):.3f} mm",
+        "camera height": f"{_number(dataset, 'camera_height_m'):.4f} m",
+        "single-frame σ on still water": f"{1000 * _number(dataset, 'still_water_sigma_m'):.3f} mm",
         "rotation": json.dumps(values.get("rotation", "unknown")),
         "translation": json.dumps(values.get("translation_m", "unknown")),
     }
@@ -116,8 +122,12 @@ def _pixels(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.3f} px"
 
 
-def _settings(values: Any) -> dict[str, str]:
-    return {str(name): str(value) for name, value in values.items()} if isinstance(values, dict) else {}
+def _number(dataset: xr.Dataset, name: str) -> float:
+    """An attribute as a number; NaN when it is missing or is none."""
+    try:
+        return float(dataset.attrs[name])
+    except (KeyError, TypeError, ValueError):
+        return float("nan")
 
 
 def _spacing_mm(dataset: xr.Dataset) -> float:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from thermacq.evaluation import Comparison, Flatness, WaveStatistics
 
 WAVE_COLUMNS = ("comparison", "H̄ (cm)", "H̄ ref. (cm)", "error", "T̄ (s)", "T̄ ref. (s)", "error", "R²")
-AGREEMENT_COLUMNS = ("measure", "value", "95 % interval", "paper")
+FLATNESS_COLUMNS = ("measure", "value", "paper")
 
 
 class AgreementRow(NamedTuple):
@@ -146,21 +146,18 @@ def statistics_rows(waves: WaveStatistics) -> list[tuple[str, str, str]]:
     ]
 
 
-def flatness_rows(flat: Flatness) -> list[AgreementRow]:
-    """Figures of the still-water map."""
+def flatness_rows(flat: Flatness) -> list[tuple[str, str, str]]:
+    """Figures of the still-water map, for a table under `FLATNESS_COLUMNS`."""
+    drift = f"{1000 * flat.offset_drift_m:+.3f} mm, {1000 * flat.tilt_drift_rad:.3f} mrad"
     return [
-        AgreementRow(
-            "standard deviation, all cells and frames", _mm(flat.overall_sd_m), "", "0.3 mm, 1.1 mm"
-        ),
-        AgreementRow("of it, fixed over time", _mm(flat.fixed_sd_m)),
-        AgreementRow("of it, changing over time", _mm(flat.temporal_sd_m)),
-        AgreementRow("after taking out the mean plane", _mm(flat.plane_sd_m)),
-        AgreementRow("mean height above the world plane", f"{1000 * flat.mean_m:+.3f} mm"),
-        AgreementRow(
-            "drift of the plane",
-            f"{1000 * flat.offset_drift_m:+.3f} mm, {1000 * flat.tilt_drift_rad:.3f} mrad",
-        ),
-        AgreementRow("frames", str(flat.frames)),
+        ("standard deviation, all cells and frames", _mm(flat.overall_sd_m), "0.3 mm, 1.1 mm"),
+        ("of it, fixed over time", _mm(flat.fixed_sd_m), ""),
+        ("of it, changing over time", _mm(flat.temporal_sd_m), ""),
+        ("median of the cells, over time", _mm(flat.median_cell_sd_m), ""),
+        ("after taking out the mean plane", _mm(flat.plane_sd_m), ""),
+        ("mean height above the world plane", f"{1000 * flat.mean_m:+.3f} mm", ""),
+        ("drift of the plane", drift, ""),
+        ("frames", str(flat.frames), ""),
     ]
 
 
