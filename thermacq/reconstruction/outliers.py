@@ -78,19 +78,22 @@ def _tile_statistics(
 
 
 def _nan_median(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Lower median over the last axis without NaN; NaN where there is nothing.
+    """Median over the last axis without NaN; NaN where there is nothing.
 
     `numpy.nanmedian` does the same twenty times slower and warns of empty slices.
     """
     ordered = np.sort(values, axis=-1)
     count = np.isfinite(ordered).sum(axis=-1)
-    middle = np.maximum(count - 1, 0) // 2
-    picked = np.take_along_axis(ordered, middle[..., None], axis=-1)[..., 0]
+    middle = np.stack([np.maximum(count - 1, 0) // 2, count // 2 * (count > 0)], axis=-1)
+    picked = np.take_along_axis(ordered, middle, axis=-1).mean(axis=-1)
     return np.asarray(np.where(count > 0, picked, np.float32(np.nan)), np.float32)
 
 
 def _median_of_neighbours(tiles: NDArray[np.float32]) -> NDArray[np.float32]:
-    padded = np.pad(tiles, 1, constant_values=np.nan)
+    # Mirrored about the values at the edge, so that a slope goes on and its median is not pulled inwards.
+    if min(tiles.shape) < 2:
+        return tiles
+    padded = np.pad(tiles, 1, mode="reflect", reflect_type="odd")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
     return _nan_median(windows.reshape(*tiles.shape, 9))
 
