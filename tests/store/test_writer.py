@@ -7,8 +7,6 @@ import h5py
 import hdf5plugin
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from thermacq.errors import StoreError
 from thermacq.store import CameraStream, Event, EventKind, FrameRow, ProbeStream, RunWriter, open_run, verify
@@ -77,17 +75,6 @@ def test_nothing_is_promised_before_flush_and_everything_after(create, append, t
     with open_run(tmp_path / "run.h5") as run:
         assert run.frame_count("right") == 2
         assert not run.complete
-
-
-@given(bits=st.integers(4, 32), steps=st.lists(st.integers(-2, 7), min_size=1, max_size=40))
-def test_counter_wraps_are_taken_out(tmp_path_factory, bits, steps):
-    from thermacq.store.writer import _Camera, _Table
-
-    stream = CameraStream("c", 1, 1, capabilities={"counter_bits": bits})
-    camera = _Camera(stream, None, _Table([], None))
-    truth = (1 << bits) - 3 + np.cumsum([0, *steps])
-    found = [camera.next_sequence_number(int(number % (1 << bits))) for number in truth]
-    np.testing.assert_array_equal(np.diff(found), steps)
 
 
 def test_frames_without_counter_are_numbered_by_row(header, tmp_path):

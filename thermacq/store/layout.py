@@ -262,3 +262,21 @@ def _put_seconds(group: h5py.Group, name: str, seconds: Any) -> None:
 def cut_text(text: str, size: int) -> bytes:
     """UTF-8 bytes of a text, at most `size`, cut between characters."""
     return text.encode(errors="replace")[:size].decode(errors="ignore").encode()
+
+
+def fit_summary(summary: dict[str, Any]) -> bytes:
+    """JSON of the summary; one that is too large loses its long lists, and says so."""
+    encoded = json.dumps(summary).encode()
+    if len(encoded) > SUMMARY_BYTES:
+        encoded = json.dumps(_without_long_lists(summary)).encode()
+    if len(encoded) > SUMMARY_BYTES:
+        encoded = json.dumps({"note": "the summary was too large to be stored"}).encode()
+    return encoded
+
+
+def _without_long_lists(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_long_lists(item) for key, item in value.items()}
+    if isinstance(value, list) and len(value) > 100:
+        return f"{len(value)} entries were left out because the summary was too large"
+    return value

@@ -8,7 +8,6 @@ file is closed after the disk was full, so a recorder runs the writer in a proce
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -23,67 +22,13 @@ from thermacq.store import layout, operations
 from thermacq.store.codec import Compression, encode_frame, frame_crc32
 from thermacq.store.disk import MEGABYTE, Ballast, free_bytes
 from thermacq.store.records import CameraStream, Event, FrameRow, ProbeStream, RunHeader
+from thermacq.store.tables import CameraSink, Table
 
 if TYPE_CHECKING:
     import h5py
 
 LIBRARY_VERSIONS = ("v110", "v110")
 """File format: the oldest that knows single-writer-multiple-reader."""
-
-
-class _Table:
-    """Columns that grow together: rows wait in memory, are written, then committed."""
-
-    def __init__(self, columns: Sequence[h5py.Dataset], committed: h5py.Dataset) -> None:
-        self._columns = columns
-        self._committed = committed
-        self._waiting: list[tuple[Any, ...]] = []
-        self.committed = 0
-
-    def append(self, *values: Any) -> None:
-        self._waiting.append(values)
-
-    @property
-    def rows(self) -> int:
-        """Rows committed and waiting."""
-        return self.committed + len(self._waiting)
-
-    def write(self) -> None:
-        """Write the waiting rows behind the committed ones; may be repeated after a failure."""
-        if self._waiting:
-            for column, values in zip(self._columns, zip(*self._waiting, strict=True), strict=True):
-                operations.write_rows(column, self.committed, values)
-
-    def commit(self) -> None:
-        """Count the written rows in, once they are flushed."""
-        if self._waiting:
-            operations.write_value(self._committed, self.rows)
-            self.committed = self.rows
-            self._waiting.clear()
-
-
-class _Camera:
-    """Where the frames of one camera go."""
-
-    def __init__(self, stream: CameraStream, data: h5py.Dataset, table: _Table) -> None:
-        self.stream = stream
-        self.data = data
-        self.table = table
-        self._counter_bits = int(stream.capabilities.get("counter_bits", 0))
-        self._last_counter = -1
-        self._sequence = 0
-
-    def next_sequence_number(self, counter: int) -> int:
-        """Counter without its wraps; a step back of less than half the range stays a step back."""
-        if counter < 0:
-            self._sequence = self.table.rows
-        elif self._last_counter < 0 or self._counter_bits == 0:
-            self._sequence = counter
-        else:
-            half = 1 << (self._counter_bits - 1)
-            self._sequence += (counter - self._last_counter + half) % (2 * half) - half
-        self._last_counter = counter
-        return self._sequence
 
 
 class RunWriter:
@@ -110,12 +55,13 @@ class RunWriter:
         self._reserve_bytes = int(settings.reserve_mb * MEGABYTE)
         self._ballast = ballast
         self._failure = ""
+        self._disk_is_lost = False
         self._finished = False
         entry = file[layout.ENTRY]
         self._entry = entry
         instrument = entry["instrument"]
         self._cameras = {
-            camera.name: _Camera(
+            camera.name: CameraSink(
                 camera,
                 instrument[camera.name]["data"],
                 _table(instrument[camera.name][layout.DETAILS], layout.FRAME_COLUMNS),
@@ -123,8 +69,8 @@ class RunWriter:
             for camera in cameras
         }
         self._probes = {probe.name: probe for probe in probes}
-        self._samples: dict[str, _Table] = {}
-        self._pulses: dict[str, _Table] = {}
+        self._samples: dict[str, Table] = {}
+        self._pulses: dict[str, Table] = {}
         for probe in probes:
             group = instrument[f"{probe.name}_{layout.DETAILS}"]
             self._samples[probe.name] = _table(group, [*layout.SAMPLE_COLUMNS, "value"])
@@ -291,7 +237,7 @@ class RunWriter:
         try:
             with self._guard():
                 self._commit()
-                operations.write_value(details["summary"], _fit_summary(summary))
+                operations.write_value(details["summary"], layout.fit_summary(summary))
                 reason = layout.cut_text(end_reason, layout.END_REASON_BYTES)
                 operations.write_value(details["end_reason"], reason)
                 operations.write_value(self._entry["end_time"], layout.cut_text(end_time, 32))
@@ -303,14 +249,19 @@ class RunWriter:
             self.close()
 
     def close(self) -> None:
-        """Close the file without marking the run complete; legal at any time, never raises."""
-        if self._file:
+        """Close the file without marking the run complete; legal at any time, never raises.
+
+        A file that the disk refuses for good is left to the end of the process, where HDF5 may crash
+        over it: closed here, it could crash before anybody was told.
+        """
+        if self._file and not self._disk_is_lost:
             if not self._failure and not self._finished:
                 with contextlib.suppress(StoreError):
                     self.flush()
             self._ballast.release()
-            with contextlib.suppress(OSError, RuntimeError):
-                self._file.close()
+            if not self._disk_is_lost:
+                with contextlib.suppress(OSError, RuntimeError):
+                    self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -318,7 +269,7 @@ class RunWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _tables(self) -> Iterator[_Table]:
+    def _tables(self) -> Iterator[Table]:
         for camera in self._cameras.values():
             yield camera.table
         yield from self._samples.values()
@@ -341,8 +292,10 @@ class RunWriter:
         except (OSError, RuntimeError) as error:
             self._failure = _reason(error)
             self._ballast.release()
-            with contextlib.suppress(OSError, RuntimeError):
+            try:
                 self._commit()
+            except (OSError, RuntimeError):
+                self._disk_is_lost = True
             raise self._error() from error
 
     def _check_alive(self) -> None:
@@ -363,8 +316,8 @@ class RunWriter:
         return (host_ns - self._header.host_anchor_ns) / 1e9
 
 
-def _table(group: h5py.Group, columns: Sequence[str] | dict[str, Any]) -> _Table:
-    return _Table([group[name] for name in columns], group[layout.COMMITTED])
+def _table(group: h5py.Group, columns: Sequence[str] | dict[str, Any]) -> Table:
+    return Table([group[name] for name in columns], group[layout.COMMITTED])
 
 
 def _reason(error: Exception) -> str:
@@ -374,21 +327,3 @@ def _reason(error: Exception) -> str:
         if f"errno = {number}" in text or f"Errno {number}" in text:
             return meaning
     return text
-
-
-def _fit_summary(summary: dict[str, Any]) -> bytes:
-    """JSON of the summary; one that is too large loses its long lists, and says so."""
-    encoded = json.dumps(summary).encode()
-    if len(encoded) > layout.SUMMARY_BYTES:
-        encoded = json.dumps(_without_long_lists(summary)).encode()
-    if len(encoded) > layout.SUMMARY_BYTES:
-        encoded = json.dumps({"note": "the summary was too large to be stored"}).encode()
-    return encoded
-
-
-def _without_long_lists(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_long_lists(item) for key, item in value.items()}
-    if isinstance(value, list) and len(value) > 100:
-        return f"{len(value)} entries were left out because the summary was too large"
-    return value

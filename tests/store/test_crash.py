@@ -1,0 +1,100 @@
+"""The writer is killed at random moments: no committed frame may be lost."""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thermacq.errors import StoreError
+from thermacq.store import open_run, recover, verify
+
+KILLS = 60
+
+# Forks a writer per trial, so that only the first pays for the imports. The writer tells over a pipe how
+# many frames it has committed; its parent kills it some time later and tells the last number that it got.
+TRIALS = """
+import json, os, random, signal, sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import conftest as known
+import h5py, hdf5plugin, numcodecs
+from thermacq.rig import StoreTable
+from thermacq.store import RunHeader, RunWriter
+
+def write(path, seed, pipe):
+    chance = random.Random(seed)
+    header = RunHeader("i", "t", "2024-05-01T10:00:00Z", 0, 0, "virtual", True, {"cameras": {}})
+    compression = chance.choice(["lz4", "zstd", "none"])
+    settings = StoreTable(compression=compression)
+    writer = RunWriter.create(path, header, known.CAMERAS, [known.PROBE], settings)
+    for index in range(1_000_000):
+        known.append_known(writer, index)
+        if chance.random() < 0.3:
+            writer.flush()
+            os.write(pipe, (index + 1).to_bytes(8, "little"))
+
+for trial in range(int(sys.argv[3])):
+    seed = int(sys.argv[4]) + trial
+    chance = random.Random(seed)
+    path = Path(sys.argv[2]) / f"{seed}.h5"
+    ours, theirs = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(ours)
+        write(path, seed, theirs)
+    os.close(theirs)
+    time.sleep(chance.uniform(0.0, 0.25))
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    told = b""
+    while part := os.read(ours, 65536):
+        told += part
+    os.close(ours)
+    whole = len(told) // 8 * 8
+    promised = int.from_bytes(told[whole - 8 : whole], "little") if whole else 0
+    print(json.dumps([seed, promised, os.WTERMSIG(status)]), flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_no_committed_frame_is_lost(tmp_path, counts_of):
+    first_seed = random.SystemRandom().randrange(10**9)
+    print(f"seeds {first_seed} to {first_seed + KILLS - 1}")
+    arguments = [str(Path(__file__).parent), str(tmp_path), str(KILLS), str(first_seed)]
+    trials = subprocess.run(
+        [sys.executable, "-c", TRIALS, *arguments], capture_output=True, text=True, timeout=110, check=True
+    )
+    outcomes = [json.loads(line) for line in trials.stdout.splitlines()]
+    assert len(outcomes) == KILLS
+    with_frames = 0
+    for seed, promised, killed_by in outcomes:
+        assert killed_by == signal.SIGKILL
+        path = tmp_path / f"{seed}.h5"
+        try:
+            run = open_run(path)
+        except StoreError:
+            assert promised == 0, f"seed {seed}: {promised} frames were promised, the file does not open"
+            continue
+        with run:
+            for camera in run.cameras:
+                found = run.frame_count(camera)
+                assert found >= promised, f"seed {seed}: {found} of {promised} promised frames"
+                np.testing.assert_array_equal(run.frames(camera).trigger_index, np.arange(found))
+                for index in range(found):
+                    np.testing.assert_array_equal(run.counts(camera, index), counts_of(camera, index))
+            frames = {camera: run.frame_count(camera) for camera in run.cameras}
+        with_frames += promised > 0
+        report = recover(path, tmp_path / "clean.h5")
+        assert not report.was_complete
+        assert report.frames == frames
+        assert report.damaged == {"left": [], "right": []}
+        assert verify(tmp_path / "clean.h5").ok
+        (tmp_path / "clean.h5").unlink()
+    assert with_frames >= 0.6 * KILLS, "too few writers lived long enough for the test to mean something"
