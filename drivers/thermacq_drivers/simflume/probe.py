@@ -176,8 +176,11 @@ class SimulatedProbe:
                 _, pulse_ns = line.take()
                 pulses.append(self._settings.clock.ticks(self._scene_time.seconds(pulse_ns)))
             caught_up = line.waiting > 0 or line.finished or not self._clock.is_virtual
-            if caught_up or host.stopping() or time.monotonic() > deadline:
+            if caught_up or host.stopping():
                 return np.array(pulses, np.int64)
+            if time.monotonic() > deadline:
+                what = f"no pulse on trigger line '{self._settings.line}': is its source armed?"
+                raise self._fault(DeviceTimeout, "acquire", what)
             time.sleep(_LINE_POLL_S)
 
     def _act_out_faults(self, elapsed_s: float, host: StreamHost) -> None:

@@ -27,13 +27,19 @@ def _check_cameras(rig: Rig) -> Iterator[RigFinding]:
     if len(sides) == 2 and sides[0] == sides[1]:
         message = f"both simulated cameras are on the {sides[0]} side: give one `side = ...` in its settings"
         yield RigFinding("error", message)
+    line = _pulsed_line(rig)
+    for name, camera in cameras.items():
+        if line and camera.line != line:
+            message = f"camera '{name}' listens to line '{camera.line}', the source pulses '{line}'"
+            yield RigFinding("error", message)
+
+
+def _pulsed_line(rig: Rig) -> str:
+    """Line that the rig's simulated trigger source pulses; empty when there is none."""
     source = rig.trigger_sources.get(rig.trigger.source)
-    if rig.trigger.mode is TriggerMode.HARDWARE and source is not None and source.driver == "sim-trigger":
-        line = TriggerSettings.model_validate(source.settings).line
-        for name, camera in cameras.items():
-            if camera.line != line:
-                message = f"camera '{name}' listens to line '{camera.line}', the source pulses '{line}'"
-                yield RigFinding("error", message)
+    if rig.trigger.mode is not TriggerMode.HARDWARE or source is None or source.driver != "sim-trigger":
+        return ""
+    return TriggerSettings.model_validate(source.settings).line
 
 
 def _check_probes(rig: Rig) -> Iterator[RigFinding]:
@@ -41,6 +47,9 @@ def _check_probes(rig: Rig) -> Iterator[RigFinding]:
         if table.driver != "sim-probe":
             continue
         settings = ProbeSettings.model_validate(table.settings)
+        if settings.line and settings.line != _pulsed_line(rig):
+            message = f"simulated probe '{name}' listens to line '{settings.line}', which nobody pulses"
+            yield RigFinding("error", message)
         if (settings.x_m, settings.y_m) != (table.x_m, table.y_m):
             message = (
                 f"simulated probe '{name}' stands at ({settings.x_m:g}, {settings.y_m:g}) m, "

@@ -99,6 +99,13 @@ def test_pulses_of_the_line_are_stamped_in_virtual_time(context: MakeContext, ho
     probe.close()
 
 
+def test_a_line_that_nobody_pulses_is_a_timeout(context: MakeContext, host: Any) -> None:
+    probe = armed(context(), {"line": "trigger", "timeout_s": 0.05})
+    with pytest.raises(DeviceTimeout, match="is its source armed"):
+        take(probe, host, 1)
+    probe.close()
+
+
 def test_garbage(context: MakeContext, host: Any) -> None:
     blocks = take(armed(context(), {"garbage_from_s": 0.1}), host, 2)
     assert np.abs(blocks[0].values).max() < 1

@@ -200,6 +200,7 @@ def test_rig_checks_find_what_does_not_fit() -> None:
         "x_m = 0.25\ny_m = -0.03\ncoef", "x_m = 0.2\ny_m = -0.03\ncoef"
     )
     assert "20 V/m" in findings("coefficient_m_per_unit = 0.05", "coefficient_m_per_unit = 0.5")
+    assert "which nobody pulses" in findings("sample_rate_hz", 'line = "c"\nsample_rate_hz')
     box = (
         '[trigger_sources.box]\ndriver = "sim-trigger"\nsettings = { line = "b" }\n[trigger]\nsource = "box"'
     )
