@@ -235,7 +235,8 @@ class CameraLoop:
             with raised():
                 fired_ns = station.clock.wait_until_ns(deadline, station.stopping)
                 late_ns = fired_ns - deadline
-                if late_ns <= order.late_after_ns and not station.stopping():
+                # Nothing else between the reading of the time and the trigger; a negative value means stop.
+                if 0 <= late_ns <= order.late_after_ns:
                     self._camera.trigger(index)
             if station.stopping():
                 return

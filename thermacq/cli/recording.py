@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,11 +47,11 @@ def record(
     interrupted = False
     try:
         _show_progress(session)
+        result = session.result()
     except KeyboardInterrupt:
         interrupted = True
-        err.print("ending the recording; what was recorded is kept ...")
-        _end(session)
-    _tell_result(session.result(), as_json)
+        result = _end(session)
+    _tell_result(result, as_json)
     if interrupted:
         raise typer.Exit(EXIT_INTERRUPTED)
 
@@ -115,12 +116,15 @@ def _detach(session: Session, output: Path, as_json: bool) -> None:
         out.print(f"recording '{output}'; `thermacq status` shows it, `thermacq stop` ends it", markup=False)
 
 
-def _end(session: Session) -> None:
-    """Stop; a second Ctrl-C leaves the recorder to finish alone."""
+def _end(session: Session) -> RecordingResult:
+    """Stop after a Ctrl-C; a second one leaves the recorder to finish alone."""
+    err.print("ending the recording; what was recorded is kept ...")
     try:
         session.stop()
         _show_progress(session)
+        return session.result()
     except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         err.print("the recorder goes on saving by itself; `thermacq status` shows it")
         raise typer.Exit(EXIT_INTERRUPTED) from None
 

@@ -12,7 +12,7 @@ from thermacq.timing.models import ClockModel
 from thermacq.timing.pairing import FrameTimes, pair_frames
 
 SKEW_SOURCES = {
-    "software": "host times at which the triggers were fired",
+    "software": "host time read by each process just before it fires its trigger",
     "hardware": "one line for all cameras: the host cannot see their skew",
     "free_run": "device clocks mapped to host time",
 }
