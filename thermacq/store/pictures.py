@@ -176,7 +176,7 @@ def _read_arrays(path: Path) -> Iterator[tuple[str, NDArray[Any]]]:
     """Arrays of (rows, columns) or (frames, rows, columns)."""
     try:
         if path.suffix.lower() == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
                 if len(archive.files) != 1:
                     raise ImportDataError(
                         f"'{path}' holds {len(archive.files)} arrays",
@@ -189,6 +189,8 @@ def _read_arrays(path: Path) -> Iterator[tuple[str, NDArray[Any]]]:
         raise
     except Exception as error:  # besides NumPy, zipfile and zlib have errors of their own for damage
         raise ImportDataError(f"'{path}' cannot be read: {error}") from None
+    if not isinstance(array, np.ndarray):
+        raise ImportDataError(f"'{path}' cannot be read: it holds no single array")
     if array.ndim not in (2, 3) or 0 in array.shape:
         raise ImportDataError(
             f"'{path}' has the shape {array.shape}",
