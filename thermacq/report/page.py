@@ -111,9 +111,10 @@ def headlines(data: ReportData) -> list[Headline]:
         )
     if data.sync and data.sync.get("skew_ns"):
         skew = data.sync["skew_ns"]
-        found.append(
-            Headline("skew p99", f"{skew['p99'] / 1000:.3g} µs", f"{data.sync.get('pairs', 0)} pairs")
-        )
+        pairs = f"{data.sync.get('pairs', 0)} pairs"
+        virtual = data.sync.get("clock") == "virtual"
+        skew_us = "virtual clock" if virtual else f"{skew['p99'] / 1000:.3g} µs"
+        found.append(Headline("skew p99", skew_us, pairs))
     if data.coverage:
         found.append(
             Headline(
