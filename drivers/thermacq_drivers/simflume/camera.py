@@ -39,7 +39,7 @@ from thermacq_drivers.simflume.mounting import Mounting
 from thermacq_drivers.simflume.scene import View, build_view, check_scene
 from thermacq_drivers.simflume.seeds import generator
 from thermacq_drivers.simflume.sensor import BIT_DEPTH, Sensor, SensorSettings
-from thermacq_drivers.simflume.settings import SceneSettings, parse_scene
+from thermacq_drivers.simflume.settings import SceneSettings, device_scene
 
 MAX_FRAME_RATE_HZ = 200.0
 
@@ -105,7 +105,7 @@ class SimulatedCamera:
         """Check settings and scene, and that the camera can see it from where it stands."""
         self._require_open("configure")
         checked = check_settings(CameraSettings, settings, self._name)
-        scene = parse_scene(self._context.scene)
+        scene = device_scene(self._context)
         try:
             check_scene(scene, checked)
         except ValueError as error:

@@ -29,7 +29,7 @@ from thermacq_drivers.simflume.exposures import sleep_until
 from thermacq_drivers.simflume.line import LineReader
 from thermacq_drivers.simflume.scene import build_surface
 from thermacq_drivers.simflume.seeds import generator
-from thermacq_drivers.simflume.settings import SceneSettings, Table, parse_scene
+from thermacq_drivers.simflume.settings import SceneSettings, Table, device_scene
 
 MAX_SAMPLE_RATE_HZ = 10_000.0
 _BLOCK_S = 0.1
@@ -100,7 +100,7 @@ class SimulatedProbe:
         """Check settings and scene."""
         self._require_open("configure")
         self._settings = check_settings(ProbeSettings, settings, self._name)
-        self._scene = parse_scene(self._context.scene)
+        self._scene = device_scene(self._context)
         return self._settings.model_dump()
 
     def arm(self) -> None:

@@ -7,8 +7,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from thermacq.devices import Settings
-from thermacq.errors import RigError
+from thermacq.devices import DeviceContext, Settings
+from thermacq.errors import DeviceFault, RigError
 from thermacq.settings import explain
 from thermacq_drivers.simflume.cases import FLUME_DEPTH_M, TABLE_II
 
@@ -125,3 +125,11 @@ def parse_scene(values: Settings) -> SceneSettings:
             explain(error, SceneSettings, "[scene]"),
             remedy="Mend these settings; defaults hold for what is left out.",
         ) from None
+
+
+def device_scene(context: DeviceContext) -> SceneSettings:
+    """Scene of a device, for use in ``configure``; raises `DeviceFault` like `check_settings`."""
+    try:
+        return parse_scene(context.scene)
+    except RigError as error:
+        raise DeviceFault(context.name, "configure", error.what, remedy=error.remedy) from None

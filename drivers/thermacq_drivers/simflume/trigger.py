@@ -21,7 +21,7 @@ from thermacq.timing import NS_PER_S
 from thermacq_drivers.simflume.exposures import sleep_until
 from thermacq_drivers.simflume.line import LineWriter
 from thermacq_drivers.simflume.seeds import generator
-from thermacq_drivers.simflume.settings import SceneSettings, Table, parse_scene
+from thermacq_drivers.simflume.settings import SceneSettings, Table, device_scene
 
 MAX_RATE_HZ = 1000.0
 PERIOD_STEP_S = 1e-6
@@ -68,7 +68,7 @@ class SimulatedTrigger:
         """Check settings and scene."""
         self._require_open("configure")
         self._settings = check_settings(TriggerSettings, settings, self._name)
-        self._scene = parse_scene(self._context.scene)
+        self._scene = device_scene(self._context)
         return self._settings.model_dump()
 
     def arm(self, rate_hz: float, count: int | None) -> None:

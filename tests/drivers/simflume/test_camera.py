@@ -15,7 +15,6 @@ from thermacq.errors import (
     DeviceOverrun,
     DeviceTimeout,
     IncompleteFrame,
-    RigError,
 )
 from thermacq.timing import RealClock, VirtualClock
 from thermacq_drivers.simflume.camera import SimulatedCamera
@@ -281,5 +280,5 @@ def test_bad_settings_and_impossible_places(context: MakeContext, wave: dict[str
         boards.configure({})
     broken = SimulatedCamera(context(scene={"sead": 1}))
     broken.open()
-    with pytest.raises(RigError, match="seed"):
+    with pytest.raises(DeviceFault, match="unknown key 'sead'"):
         broken.configure({})
