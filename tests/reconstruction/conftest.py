@@ -140,9 +140,16 @@ def write_run(
         versions={},
     )
     cameras = [CameraStream(name=name, rows=scene.rows, columns=scene.columns) for name in names]
-    writer = RunWriter.create(path, header, cameras)
+    with RunWriter.create(path, header, cameras) as writer:
+        _write_frames(writer, scene, frames, header.host_anchor_ns, lonely_right)
+        writer.finish({}, "done")
+    return path
+
+
+def _write_frames(writer: RunWriter, scene: Scene, frames: int, start_ns: int, lonely_right: bool) -> None:
+    names = ("left", "right")
     for index in range(frames):
-        moment_ns = header.host_anchor_ns + index * FRAME_NS
+        moment_ns = start_ns + index * FRAME_NS
         left, right, _ = scene.pair(index * FRAME_NS / 1e9, seed=100 + index)
         for name, picture in zip(names, (left, right), strict=True):
             trigger = index + 1000 if lonely_right and name == "right" else index
@@ -150,8 +157,6 @@ def write_run(
                 counter=index, ticks=-1, host_ns=moment_ns, trigger_index=trigger, trigger_ns=moment_ns
             )
             writer.append_frame(name, np.rint(picture).astype(np.uint16), row)
-    writer.finish({}, "done")
-    return path
 
 
 @pytest.fixture
