@@ -62,6 +62,22 @@ for trial in range(int(sys.argv[3])):
     print(json.dumps([seed, promised, os.WTERMSIG(status)]), flush=True)
 """
 
+WRITE_ON = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import conftest as known
+from thermacq.store import RunHeader, RunWriter
+
+header = RunHeader("i", "t", "2024-05-01T10:00:00Z", 0, 0, "virtual", True, {"cameras": {}})
+writer = RunWriter.create(Path(sys.argv[2]), header, known.CAMERAS, [known.PROBE])
+for index in range(1_000_000):
+    known.append_known(writer, index)
+    writer.flush()
+    if index == 0:
+        print("begun", flush=True)
+"""
+
 
 @pytest.mark.slow
 def test_no_committed_frame_is_lost(tmp_path, counts_of):
@@ -98,3 +114,25 @@ def test_no_committed_frame_is_lost(tmp_path, counts_of):
         assert verify(tmp_path / "clean.h5").ok
         (tmp_path / "clean.h5").unlink()
     assert with_frames >= 0.6 * KILLS, "too few writers lived long enough for the test to mean something"
+
+
+@pytest.mark.slow
+def test_a_run_can_be_read_while_it_is_written(tmp_path, counts_of):
+    """Readers open the file again and again beside a writer, and never see anything half done."""
+    path = tmp_path / "run.h5"
+    arguments = [sys.executable, "-c", WRITE_ON, str(Path(__file__).parent), str(path)]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as writer:
+        assert writer.stdout.readline() == "begun\n"
+        seen = [0]
+        for _ in range(60):
+            with open_run(path) as run:
+                frames = run.frame_count("left")
+                np.testing.assert_array_equal(run.frames("left").trigger_index, np.arange(frames))
+                for index in range(seen[-1], frames):
+                    np.testing.assert_array_equal(run.counts("left", index), counts_of("left", index))
+                run.probe("gauge")
+                run.events()
+                seen.append(frames)
+        writer.kill()
+    assert seen == sorted(seen)
+    assert seen[-1] > seen[1] > 0

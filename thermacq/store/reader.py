@@ -274,6 +274,8 @@ def _read_camera(instrument: h5py.Group, stream: CameraStream, file_bytes: int) 
     if rows < 1 or columns < 1 or rows * columns > _MAX_PIXELS:
         raise ValueError(f"camera '{stream.name}' claims pictures of {rows} x {columns} pixels")
     detector = untrusted.get_group(instrument, stream.name)
+    # Counts before contents: beside a writer, whatever was counted is there when it is looked at later.
+    table = _table(untrusted.get_group(detector, layout.DETAILS), layout.FRAME_COLUMNS, file_bytes)
     data = untrusted.get_dataset(detector, "data")
     if data.dtype != np.uint16 or data.shape[1:] != (rows, columns) or data.chunks != (1, rows, columns):
         raise ValueError(f"the pictures of camera '{stream.name}' are not stored as they must be")
@@ -282,7 +284,6 @@ def _read_camera(instrument: h5py.Group, stream: CameraStream, file_bytes: int) 
     if [number for number, *_ in filters] not in ([], [BLOSC_FILTER]):
         raise ValueError(f"the pictures of camera '{stream.name}' are compressed in an unknown way")
     compression = compression_of(filters[0][2]) if filters else "none"
-    table = _table(untrusted.get_group(detector, layout.DETAILS), layout.FRAME_COLUMNS, file_bytes)
     if table.committed > data.shape[0]:
         raise ValueError(f"camera '{stream.name}' claims more frames than there are")
     return _Camera(stream, data, compression, table)
