@@ -56,7 +56,7 @@ class CameraSettings(Mounting):
     trigger_jitter_s: float = Field(0.0, ge=0, lt=0.01, description="standard deviation of the latency")
     loss_probability: float = Field(0.0, ge=0, lt=1, description="of a frame on its way to the host")
     cached_loop_frames: int = Field(
-        0, ge=0, le=1000, description="draw so many frames when armed and play them in a loop; 0: draw each"
+        0, ge=0, le=500, description="draw so many frames when armed and play them in a loop; 0: draw each"
     )
     timeout_s: float = Field(5.0, gt=0, le=60, description="longest wait for a trigger")
     incomplete_at_frame: int = Field(-1, ge=-1, description="this frame arrives short")
