@@ -268,6 +268,13 @@ def test_a_small_machine_is_found():
     assert lines[1].startswith("warning: the disk here holds 15 s of uncompressed pictures")
 
 
+def test_only_the_asked_keys_of_inner_tables_are_compared():
+    asked = {"clock": {"drift_ppm": 8, "rate_hz": 1e6}, "channels": ["a"]}
+    applied = {"clock": {"drift_ppm": 8.0, "rate_hz": 5e5, "offset_s": 0.0}, "channels": ("a",)}
+    lines = misfits(requested=asked, applied=applied)
+    assert lines == ["warning: left: clock.rate_hz: asked 1000000.0, applied 500000.0"]
+
+
 def test_findings_of_an_unopened_device_stop_at_its_error():
     lines = misfits(error="no answer", identity=None, capabilities=None)
     assert lines == ["error: left: no answer"]

@@ -76,14 +76,17 @@ def check(rig_file: RigFile, scene: SceneFile = None, as_json: AsJson = False) -
 def _show_device(report: DeviceReport) -> None:
     from rich.markup import escape
 
+    from thermacq.rig.inspection import flat
+
     found = report.identity
     who = f"{found.model}, serial {found.serial}" if found else "not opened"
     proven = f", proven on: {report.evidence}" if report.evidence else ""
     out.print(f"[bold]{escape(report.name)}[/]  {escape(who)} ({report.driver}{proven})")
-    for key, asked in report.requested.items():
-        applied = f"applied {report.applied[key]!r}" if key in report.applied else "not applied"
-        out.print(f"  {escape(f'{key}: asked {asked!r}, {applied}')}")
-    defaults = [f"{key} {value}" for key, value in report.applied.items() if key not in report.requested]
+    requested, applied = flat(report.requested), flat(report.applied)
+    for key, asked in requested.items():
+        got = f"applied {applied[key]!r}" if key in applied else "not applied"
+        out.print(f"  {escape(f'{key}: asked {asked!r}, {got}')}")
+    defaults = [f"{key} {value}" for key, value in applied.items() if key not in requested]
     if defaults:
         out.print(f"  [dim]by default: {escape(', '.join(defaults))}[/]")
     if report.capabilities:

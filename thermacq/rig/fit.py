@@ -21,7 +21,7 @@ from thermacq.devices import (
 from thermacq.errors import PluginError
 from thermacq.hooks import Evidence, RigFinding
 from thermacq.plugins import Plugins
-from thermacq.rig.inspection import DeviceReport
+from thermacq.rig.inspection import DeviceReport, flat
 from thermacq.rig.load import devices_of
 from thermacq.rig.model import Rig
 from thermacq.settings import explain
@@ -117,9 +117,10 @@ def _device_findings(rig: Rig, reports: Sequence[DeviceReport]) -> Iterator[RigF
         wanted = expected[report.name]
         if report.identity and wanted and serial != wanted:
             yield _error(f"{report.name}: the rig expects serial '{wanted}', the device is '{serial}'")
-        for key, value in report.requested.items():
-            if key in report.applied and report.applied[key] != value:
-                yield _warning(f"{report.name}: {key}: asked {value!r}, applied {report.applied[key]!r}")
+        applied = flat(report.applied)
+        for key, value in flat(report.requested).items():
+            if key in applied and applied[key] != value:
+                yield _warning(f"{report.name}: {key}: asked {value!r}, applied {applied[key]!r}")
         if rig.clock.kind == "virtual" and report.evidence not in (None, Evidence.SIMULATED):
             yield _error(f"{report.name}: a real device cannot follow the virtual clock")
     for one, other in combinations([report for report in reports if report.identity], 2):

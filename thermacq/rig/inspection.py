@@ -10,6 +10,7 @@ import multiprocessing
 import signal
 import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -63,6 +64,17 @@ class DeviceReport:
     capabilities: CameraCapabilities | ProbeCapabilities | TriggerCapabilities | None = None
     error: str = ""
     remedy: str = ""
+
+
+def flat(settings: Mapping[str, Any], place: str = "") -> dict[str, Any]:
+    """Settings with the keys of inner tables written out: ``{"clock.drift_ppm": 8.0}``."""
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            found.update(flat(value, f"{place}{key}."))
+        else:
+            found[f"{place}{key}"] = list(value) if isinstance(value, tuple) else value
+    return found
 
 
 def inspect_devices(rig: Rig, timeout_s: float = OPENING_TIMEOUT_S) -> list[DeviceReport]:
