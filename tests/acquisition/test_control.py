@@ -1,6 +1,7 @@
 import json
 import os
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,31 @@ def test_status_and_stop(desk) -> None:
     assert not made.stop_wanted
     assert control.request(folder, "stop") == {"state": "recording"}
     assert made.stop_wanted
+
+
+def test_a_closed_desk_leaves_no_sockets() -> None:
+    folder = control.new_folder("desk")
+    made = control.Desk(folder)
+    assert {item.name for item in folder.iterdir()} == {"control", "status"}
+    made.close()
+    assert list(folder.iterdir()) == []
+
+
+def test_a_watcher_gets_the_latest_status() -> None:
+    folder = control.new_folder("desk")
+    made, watcher = control.Desk(folder), control.Watcher(folder)
+    number = 0
+    while watcher.next(0.05) is None:
+        made.publish({"number": number})
+        number += 1
+        assert number < 200
+    for number in (500, 501, 502):
+        made.publish({"number": number})
+    deadline_s = time.monotonic() + 10
+    while (status := watcher.next(1.0)) != {"number": 502}:
+        assert time.monotonic() < deadline_s, status
+    watcher.close()
+    made.close()
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xff\xfe", b"[]", b"3", b'{"command": "dance"}', b"{" * 10_000])

@@ -171,10 +171,14 @@ def test_a_lost_camera_ends_an_endless_run(make_rig, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_stop_keeps_everything(make_rig, tmp_path: Path) -> None:
+@pytest.mark.parametrize("by_signal", [False, True])
+def test_a_stop_keeps_everything(make_rig, tmp_path: Path, by_signal: bool) -> None:
     session = start(make_rig(), tmp_path / "run.h5")
-    when(session, written(5))
-    session.stop()
+    status = when(session, written(5))
+    if by_signal:
+        os.kill(status["pid"], signal.SIGTERM)
+    else:
+        session.stop()
     result = session.result()
     assert result.asked_for
     assert result.end_reason == EndReason.STOPPED

@@ -71,18 +71,28 @@ class Session:
         """
         self.wait()
         result = control.read_json(self.folder / control.RESULT)
-        log = self.folder / control.LOG
-        last_words = log.read_text(errors="replace").strip()[-500:] if log.exists() else ""
+        loss = None if result is not None else self._recorder_loss()
         shutil.rmtree(self.folder, ignore_errors=True)
-        if result is None:
-            raise AcquisitionError(
-                f"the recorder process was lost. {last_words}".strip(),
-                kept="Its writer closes the run file by itself if it lives.",
-                remedy="`thermacq info RUN` shows what is there; `thermacq recover RUN` mends it.",
-            )
+        if loss is not None:
+            raise loss
         if (error := result.pop("error")) is not None:
             raise error_from_dict(error)
         return RecordingResult.from_dict(result)
+
+    def _recorder_loss(self) -> AcquisitionError:
+        log = self.folder / control.LOG
+        last_words = log.read_text(errors="replace").strip()[-500:] if log.exists() else ""
+        job = control.read_json(self.folder / control.JOB) or {"output": ""}
+        path = Path(job["output"])
+        if not path.is_file():
+            return AcquisitionError(
+                f"the recorder process was lost. {last_words}", kept="There is no run file."
+            )
+        return AcquisitionError(
+            f"the recorder process was lost. {last_words}",
+            kept=f"What was recorded is in '{path}'; its writer closes it by itself if it lives.",
+            remedy=f"`thermacq info {path}` shows what is there, `thermacq recover` mends it.",
+        )
 
     def _lives(self) -> bool:
         if self._pid is not None:

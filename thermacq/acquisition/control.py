@@ -111,6 +111,7 @@ class Desk:
     """The recorder's side: answers ``status`` and ``stop``, publishes the status."""
 
     def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._context = zmq.Context()
         self._replies = self._context.socket(zmq.REP)
         self._news = self._context.socket(zmq.PUB)
@@ -139,8 +140,10 @@ class Desk:
         self._news.send_json(status)
 
     def close(self) -> None:
-        """Close the sockets."""
+        """Close the sockets and remove their files, which ZeroMQ leaves."""
         self._context.destroy(linger=100)
+        for name in (_CONTROL, _STATUS):
+            (self._folder / name).unlink(missing_ok=True)
 
 
 class Watcher:

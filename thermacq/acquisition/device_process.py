@@ -74,6 +74,9 @@ def device_main(
     except DeviceFault as problem:
         fault = problem
         station.event(_event_kind(problem), problem.last_frame, problem.what)
+    if outbox.thrown_away:
+        outbox.send(_CLOSING_PATIENCE_S)
+        station.event(EventKind.NOTE, -1, f"{outbox.thrown_away} events were lost: the writer was late")
     outbox.close(_CLOSING_PATIENCE_S)
     with suppress(OSError):
         recorder.send(Ended(fault))

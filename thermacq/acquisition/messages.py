@@ -57,7 +57,6 @@ class DeviceSpec:
     clock: ClockSettings
     runtime_dir: Path
     recorder_pid: int
-    serial: str = ""
     core: int | None = None
 
 

@@ -51,7 +51,6 @@ def device_specs(rig: Rig, runtime_dir: Path) -> list[DeviceSpec]:
                 clock=ClockSettings(rig.clock.kind, rig.clock.speed),
                 runtime_dir=runtime_dir,
                 recorder_pid=os.getpid(),
-                serial=table.serial,
                 core=core,
             )
         )

@@ -37,7 +37,7 @@ from thermacq.store import Event, EventKind, check_room
 from thermacq.timing import NS_PER_S
 
 OPEN_TIMEOUT_S = 60.0
-ARM_TIMEOUT_S = 60.0
+ARM_TIMEOUT_S = 120.0
 CREATE_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
 WRITE_STALL_S = 60.0

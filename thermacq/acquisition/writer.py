@@ -36,7 +36,7 @@ from thermacq.store import Compression, Event, EventKind, FrameRow, RunWriter, e
 COMPRESSION_THREADS = 2
 _IN_FLIGHT = 8
 _IDLE_POLL_S = 0.005
-_DISK_CHECK_S = 1.0
+_DISK_CHECK_S = 0.1
 _LATE_WRITE_S = 0.5
 _PULSE_PATIENCE_S = 0.25
 

@@ -67,7 +67,8 @@ class ClockModel:
     def to_host_ns(self, ticks: ArrayLike) -> NDArray[np.int64]:
         """Host time of device ticks: (n,) integers to (n,) int64 nanoseconds."""
         since = np.asarray(ticks, np.int64) - self.reference_ticks
-        return self.reference_ns + np.rint(since * self.ns_per_tick).astype(np.int64)
+        elapsed: NDArray[np.int64] = np.rint(since * self.ns_per_tick).astype(np.int64)
+        return self.reference_ns + elapsed
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a summary, offset and drift included."""
