@@ -204,7 +204,8 @@ def _launch(folder: Path) -> int:
         return os.posix_spawn(
             sys.executable,
             [sys.executable, "-m", "thermacq.acquisition", str(folder)],
-            os.environ,
+            # A small product in many BLAS threads takes a hundred times as long when the cores are busy.
+            {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
             file_actions=[
                 (os.POSIX_SPAWN_DUP2, nothing, 0),
                 (os.POSIX_SPAWN_DUP2, log, 1),

@@ -135,9 +135,19 @@ def simulated_truth(run: RunFile, time_s: Series, x_m: float, y_m: float) -> Ser
         (times,) seconds of the recording.
     x_m, y_m
         World coordinates.
+
+    Raises
+    ------
+    TruthError
+        The run was recorded in real time, or the plugin failed.
     """
     if not run.header.simulated:
         return None
+    if run.header.clock != "virtual":
+        raise TruthError(
+            "recorded in real time, whose zero is not that of the scene: no comparison with the simulated truth"
+            " (`thermacq simulate truth` writes it, by the cameras' own clocks)"
+        )
     request = TruthRequest(run.rig.scene, np.asarray(time_s, np.float64), np.array([x_m]), np.array([y_m]))
     try:
         truth = plugins().truth(request)
