@@ -71,13 +71,12 @@ def refine(
     coefficients = _row_spline(right)
     columns = np.arange(left.shape[1], dtype=np.float32)
     for _ in range(_STEPS):
-        matched = columns - refined
-        trusted = known_left & _look_up(known_right, matched)
-        step = _step(left, _sample_rows(coefficients, matched), trusted, sigma_px)
+        warped, known_there = _sample_rows(coefficients, known_right, columns - refined)
+        trusted = known_left & known_there
+        step = _step(left, warped, trusted, sigma_px)
         refined = refined + step.clip(-_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-    matched = columns - refined
-    trusted = known_left & _look_up(known_right, matched)
-    correlated = _correlation(left, _sample_rows(coefficients, matched), trusted, sigma_px) >= min_correlation
+    # The last step is hundredths of a pixel: the pictures before it tell as well whether they correlate.
+    correlated = _correlation(left, warped, trusted, sigma_px) >= min_correlation
     agrees = np.abs(refined - disparity) < _NEAR_PX
     chosen = np.where(agrees & smooth, refined, np.where(smooth, np.float32(np.nan), disparity))
     return np.where(correlated, chosen, np.float32(np.nan)).astype(np.float32, copy=False)
@@ -215,15 +214,6 @@ def _well_inside(picture: Picture) -> Mask:
     return finite
 
 
-def _look_up(mask: Mask, columns: Picture) -> Mask:
-    """The mask at fractional columns of each row; False outside the picture."""
-    nearest = np.rint(columns).astype(np.int32)
-    width = mask.shape[1]
-    inside = (nearest >= 0) & (nearest < width)
-    found: Mask = inside & np.take_along_axis(mask, nearest.clip(0, width - 1), axis=1)
-    return found
-
-
 def _row_spline(picture: Picture) -> Picture:
     """Cubic B-spline coefficients along the rows."""
     from scipy.ndimage import spline_filter1d
@@ -231,13 +221,16 @@ def _row_spline(picture: Picture) -> Picture:
     return np.asarray(spline_filter1d(picture, order=3, axis=1, output=np.float32, mode="mirror"), np.float32)
 
 
-def _sample_rows(coefficients: Picture, columns: Picture) -> Picture:
-    """Cubic B-spline at fractional columns of each row; OpenCV's remap knows only 1/32 of a pixel."""
+def _sample_rows(coefficients: Picture, known: Mask, columns: Picture) -> tuple[Picture, Mask]:
+    """Cubic B-spline at fractional columns of each row, and whether the place is known.
+
+    OpenCV's remap is no help: it knows only 1/32 of a pixel.
+    """
     rows, width = coefficients.shape
     whole = np.floor(columns)
     t = columns - whole
     s = 1.0 - t
-    outer = s**3 / 6.0, t**3 / 6.0
+    outer = s * s * s / 6.0, t * t * t / 6.0
     inner = (4.0 + 3.0 * t * t * (t - 2.0)) / 6.0
     weights = (outer[0], inner, 1.0 - outer[0] - inner - outer[1], outer[1])
     first = whole.astype(np.int32) - 1
@@ -246,4 +239,6 @@ def _sample_rows(coefficients: Picture, columns: Picture) -> Picture:
     sampled = np.zeros_like(columns)
     for tap, weight in enumerate(weights):
         sampled += weight * flat.take(row_start + np.clip(first + tap, 0, width - 1))
-    return sampled
+    inside = (first >= 0) & (first <= width - 4)
+    there: Mask = inside & known.ravel().take(row_start + np.clip(first + 1, 0, width - 1))
+    return sampled, there

@@ -133,7 +133,7 @@ def _finished_by_processes(job: PartsJob, missing: list[int], workers: int) -> I
     waiting = iter(missing)
     running: set[Future[int]] = set()
     try:
-        with _interrupts_ignored():
+        with _inherited_by_workers():
             running |= {pool.submit(_make_part_in_worker, part) for part in _take(waiting, 2 * workers)}
         while running:
             ready, running = wait(running, return_when=FIRST_COMPLETED)
@@ -155,16 +155,23 @@ def _take(waiting: Iterator[int], count: int) -> list[int]:
 
 
 @contextlib.contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Processes started inside never see Ctrl-C, so that each finishes the part at hand."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _inherited_by_workers() -> Iterator[None]:
+    """Processes started inside use one thread for linear algebra, and never see Ctrl-C.
+
+    There is a process for each core already; and each shall finish the part at hand.
+    """
+    variable, in_main_thread = "OPENBLAS_NUM_THREADS", threading.current_thread() is threading.main_thread()
+    threads = os.environ.get(variable)
+    os.environ[variable] = "1"
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main_thread else None
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        if in_main_thread:
+            signal.signal(signal.SIGINT, before)
+        os.environ.pop(variable)
+        if threads is not None:
+            os.environ[variable] = threads
 
 
 def _make_part(job: PartsJob, part: int, make: PartMaker) -> int:

@@ -241,7 +241,7 @@ def _cell(centres: NDArray[np.float64], place_m: float, axis: str) -> tuple[int,
         raise ReconstructionError(
             f"{axis} = {place_m:g} m lies outside the surface, which covers "
             f"{centres[0] - spacing / 2:.3f} to {centres[-1] + spacing / 2:.3f} m",
-            remedy="Choose a place inside; `thermacq info` or xarray shows the grid.",
+            remedy="Choose a place inside.",
         )
     inside = min(max(position, 0.0), centres.size - 1.0)
     index = min(int(inside), max(centres.size - 2, 0))
