@@ -53,6 +53,8 @@ _START_LEAD_NS = 500_000_000
 _PUMP_S = 0.02
 _PUBLISH_S = 0.2
 _SILENT_PROBE_S = 5.0
+# Two blocks of the longest permitted length: a probe that is just between blocks is not silent.
+_FALLEN_SILENT_S = 0.5
 
 _Message = TypeVar("_Message")
 
@@ -220,10 +222,22 @@ class Recorder:
         for device in self._devices:
             if not device.over:
                 self._kill(device, "did not stop when told")
+        self._look_for_silent_probes()
+
+    def _look_for_silent_probes(self) -> None:
+        """Warn of probes that said nothing, or nothing any more long before the cameras ended."""
+        cameras = self._of_kind(DeviceKind.CAMERA)
+        cameras_end_ns = max(self._board.get(camera.spec.index, Cell.LAST_HOST_NS) for camera in cameras)
         for probe in self._of_kind(DeviceKind.WAVE_PROBE):
-            if not probe.fault and self._board.get(probe.spec.index, Cell.RECEIVED) == 0:
+            if probe.fault:
+                continue
+            silent_s = (cameras_end_ns - self._board.get(probe.spec.index, Cell.LAST_HOST_NS)) / NS_PER_S
+            if self._board.get(probe.spec.index, Cell.RECEIVED) == 0:
                 self._warn(f"probe '{probe.name}' delivered no sample")
                 self._post(probe, EventKind.TIMEOUT, "no sample came")
+            elif silent_s > _FALLEN_SILENT_S:
+                self._warn(f"probe '{probe.name}' fell silent {silent_s:.1f} s before the cameras ended")
+                self._post(probe, EventKind.TIMEOUT, f"no sample in the last {silent_s:.1f} s")
 
     def _finish(self, reason: EndReason) -> RecordingResult:
         """Have the file closed, and say how it went; raises when the writer could not."""

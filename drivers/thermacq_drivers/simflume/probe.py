@@ -131,6 +131,8 @@ class SimulatedProbe:
             if host.stopping():
                 return
             self._act_out_faults(float(elapsed_s[-1]), host)
+            if host.stopping():
+                return
             x, y = np.full(size, settings.x_m), np.full(size, settings.y_m)
             values = self._volts(surface.elevation(x, y, times_s), elapsed_s)
             pulses = self._pulses_until(float(times_s[-1]), host)
