@@ -57,6 +57,20 @@ def test_noise_of_35_mk_on_texture_of_300_mk_leaves_three_hundredths():
     assert abs(np.nanmean(error)) < 0.003
 
 
+@pytest.mark.parametrize(
+    ("length_px", "sigma_px", "loss"), [(150, 10.0, 0.005), (100, 10.0, 0.03), (60, 5.0, 0.02)]
+)
+def test_waves_keep_their_height(length_px, sigma_px, loss):
+    """What the docs promise of the window: 150 px are 0.14 m on the water in the paper's geometry."""
+    left, right, truth = textured_pair(lambda u, v: 12.0 + np.sin(2 * np.pi * v / length_px))
+    wave = (truth - 12.0)[:, 30:-15]
+    refined = refine(left, right, coarse(truth), sigma_px=sigma_px)[:, 30:-15] - 12.0
+    known = np.isfinite(refined)
+    height = (refined[known] @ wave[known]) / (wave[known] @ wave[known])
+    assert known.mean() > 0.95
+    assert abs(height - 1.0) < loss
+
+
 def test_gain_and_level_of_the_right_camera_do_not_matter():
     left, right, truth = textured_pair(wavy, gain=1.3, level=5.0)
     error = (refine(left, right, coarse(truth)) - truth)[15:-15, 30:-15]
