@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermacq.errors import StoreError
-from thermacq.reconstruction import open_product
+from thermacq.reconstruction import check_new_file, open_product
 from thermacq.reconstruction import write_ply as write_point_cloud
 
 # Anchors of the colour map "coolwarm": blue troughs, grey still water, red crests.
@@ -90,8 +90,7 @@ def write_vts(product: Path, output: Path, frame: int) -> None:
 
 
 def _read(product: Path, output: Path, frame: int) -> _Frame:
-    if output.exists():
-        raise StoreError(f"'{output}' exists", kept="It was not touched.", remedy="Choose another name.")
+    check_new_file(output)
     with open_product(product) as dataset:
         frames = dataset.sizes["time"]
         if not -frames <= frame < frames:

@@ -97,6 +97,8 @@ def test_wrong_files_are_explained(still_run, wave_run, tmp_path):
     assert "world frame" in failure(
         "reconstruct", still_run, "-w", tmp_path / "mine.json", "-o", tmp_path / "a.nc"
     )
+    assert "no folder" in failure("reconstruct", still_run, "-o", tmp_path / "none" / "eta.nc")
+    assert "no folder" in failure("still-water", still_run, "-o", tmp_path / "none" / "world.json")
     assert "not still water" in failure(
         "still-water", wave_run, "-o", tmp_path / "w.json", "--frames", "0:4", "--workers", 1
     )

@@ -49,11 +49,9 @@ def still_water(
     as_json: AsJson = False,
 ) -> None:
     """Find the still-water plane and the world frame on it."""
-    from thermacq.errors import StoreError
-    from thermacq.reconstruction import check_flat, find_world_frame, parts_folder_of
+    from thermacq.reconstruction import check_flat, check_new_file, find_world_frame, parts_folder_of
 
-    if output.exists():
-        raise StoreError(f"'{output}' exists", kept="It was not touched.", remedy="Choose another name.")
+    check_new_file(output)
     source = _open(run, calibration, matcher, settings, frames)
     folder = parts_folder_of(output)
     with _resumable(folder), _progress() as progress:
@@ -89,6 +87,7 @@ def reconstruct(
     """
     from thermacq import reconstruction
 
+    reconstruction.check_new_file(output)
     frame = None if world is None else reconstruction.load_world_frame(world)
     source = _open(run, calibration, matcher, settings, frames)
     folder = reconstruction.parts_folder_of(output)
@@ -139,11 +138,10 @@ def disparity(
 ) -> None:
     """Match one pair: density, errors against a known disparity, depth, point cloud."""
     from thermacq import reconstruction
-    from thermacq.errors import StoreError
 
     for path in (output, cloud):
-        if path is not None and path.exists():
-            raise StoreError(f"'{path}' exists", kept="It was not touched.", remedy="Choose another name.")
+        if path is not None:
+            reconstruction.check_new_file(path)
     known = None if truth is None else reconstruction.load_disparity(truth)
     source = _open(run, calibration, matcher, settings, f"{frame}:{frame + 1}")
     pair = reconstruction.match_pair(source)

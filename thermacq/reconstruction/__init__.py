@@ -13,6 +13,7 @@ from thermacq.reconstruction.disparity_errors import (
 from thermacq.reconstruction.elevation import Reconstructed, parts_folder_of, reconstruct
 from thermacq.reconstruction.gridding import Grid, GriddedSurface, grid_over, grid_points
 from thermacq.reconstruction.matching import parse_settings
+from thermacq.reconstruction.outputs import check_new_file
 from thermacq.reconstruction.plane import Plane, fit_plane
 from thermacq.reconstruction.point_cloud import write_ply
 from thermacq.reconstruction.product import VirtualProbe, open_product, virtual_probe
@@ -40,6 +41,7 @@ __all__ = [
     "VirtualProbe",
     "WorldFrame",
     "check_flat",
+    "check_new_file",
     "depth_errors",
     "disparity_errors",
     "find_world_frame",

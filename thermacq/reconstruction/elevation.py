@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq.errors import ReconstructionError, StoreError
+from thermacq.errors import ReconstructionError
 from thermacq.reconstruction.gridding import Grid, GriddedSurface, grid_over, grid_points
 from thermacq.reconstruction.matching import MatchingJob, PairReader, make_matcher
 from thermacq.reconstruction.mean_surface import points_of
 from thermacq.reconstruction.outliers import reject_outliers
+from thermacq.reconstruction.outputs import check_new_file
 from thermacq.reconstruction.parts import PartMaker, PartsJob, Progress, make_parts, read_parts, worker
 from thermacq.reconstruction.product import ProductWriter
 from thermacq.reconstruction.source import Source
@@ -81,8 +82,7 @@ def reconstruct(
     StoreError
         The output exists or cannot be written.
     """
-    if output.exists():
-        raise StoreError(f"'{output}' exists", kept="It was not touched.", remedy="Choose another name.")
+    check_new_file(output)
     if world is not None and world.source.get("calibration_sha256") != source.calibration.sha256:
         raise ReconstructionError(
             "the world frame was found with another calibration than this run is reconstructed with",
