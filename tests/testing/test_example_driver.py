@@ -62,6 +62,7 @@ def test_the_example_is_short():
     assert len((EXAMPLE / "noise_camera.py").read_text().splitlines()) < 150
 
 
+@pytest.mark.slow
 def test_the_example_conforms(installed, tmp_path):
     suite = ("pytest", "--pyargs", "thermacq.testing.conformance", "-p", "no:cacheprovider", "-rs")
     done = run(installed, tmp_path, *suite, "--driver", "noise-camera")
@@ -70,6 +71,7 @@ def test_the_example_conforms(installed, tmp_path):
     assert "declares no settings that act out DeviceOverrun" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_suite_says_what_is_wrong_with_its_options(installed, tmp_path):
     suite = ("pytest", "--pyargs", "thermacq.testing.conformance", "-p", "no:cacheprovider")
     assert "say which driver to check" in run(installed, tmp_path, *suite).stdout

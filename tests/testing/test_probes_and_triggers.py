@@ -221,7 +221,7 @@ BROKEN = [
     ids=[f"{check.__name__}-{message[:24]}" for check, _, message in BROKEN],
 )
 def test_a_broken_device_fails_and_is_told_what_to_mend(check, device, message, monkeypatch):
-    monkeypatch.setattr(bench_module, "STOP_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(bench_module, "STOP_TIMEOUT_S", 1.0)
     monkeypatch.setattr(faults, "COMES_WITHIN_S", 1.0)
     with pytest.raises(Nonconformity, match=message):
         check(subject(device))

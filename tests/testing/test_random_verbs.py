@@ -118,6 +118,7 @@ def run(driver, examples: int) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", DRIVERS, ids=[driver.name for driver in DRIVERS])
 def test_verbs_in_any_order(driver):
     run(driver, 12)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -23,19 +21,11 @@ from thermacq.hooks import Evidence, RigFinding
 from thermacq.plugins import Plugins
 from thermacq.rig.inspection import DeviceReport, flat
 from thermacq.rig.load import devices_of
+from thermacq.rig.machine import LARGEST_RING_PART, Machine
 from thermacq.rig.model import Rig
 from thermacq.settings import explain
 
 _SHORTEST_RECORDING_S = 60.0
-
-
-@dataclass(frozen=True)
-class Machine:
-    """What the computer has: processor cores, bytes of shared memory and of disk that are free."""
-
-    cores: int
-    shared_memory_bytes: int
-    disk_bytes: int
 
 
 @dataclass(frozen=True)
@@ -46,13 +36,6 @@ class Load:
     """Uncompressed pictures of all cameras."""
     ring_bytes: int
     """Shared memory of all camera rings."""
-
-
-def this_machine(folder: Path) -> Machine:
-    """Measure this computer; `folder` says which disk."""
-    shared = Path("/dev/shm")
-    shared_bytes = shutil.disk_usage(shared).free if shared.is_dir() else 0
-    return Machine(os.cpu_count() or 1, shared_bytes, shutil.disk_usage(folder).free)
 
 
 def load_of(rig: Rig, reports: Sequence[DeviceReport]) -> Load:
@@ -175,10 +158,10 @@ def _probe_findings(rig: Rig, reports: Sequence[DeviceReport]) -> Iterator[RigFi
 
 def _machine_findings(rig: Rig, reports: Sequence[DeviceReport], machine: Machine) -> Iterator[RigFinding]:
     load = load_of(rig, reports)
-    if load.ring_bytes > machine.shared_memory_bytes:
+    if load.ring_bytes > LARGEST_RING_PART * machine.memory_bytes:
         yield _error(
-            f"the rings need {load.ring_bytes / 1e6:.0f} MB of shared memory, "
-            f"{machine.shared_memory_bytes / 1e6:.0f} MB are free; make store.ring_s shorter"
+            f"the rings need {load.ring_bytes / 1e6:.0f} MB of memory, of {machine.memory_bytes / 1e6:.0f} MB "
+            f"that are free they may take {LARGEST_RING_PART:.0%}; make store.ring_s shorter"
         )
     usable_bytes = machine.disk_bytes - rig.store.reserve_mb * 1e6
     if load.bytes_per_s > 0 and usable_bytes < _SHORTEST_RECORDING_S * load.bytes_per_s:

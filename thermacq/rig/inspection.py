@@ -127,6 +127,7 @@ class _Session:
         stage = "start"
         while True:
             if not self._pipe.poll(max(0.0, deadline_s - time.monotonic())):
+                self._process.kill()
                 return self._failed(f"did not answer within {timeout_s:g} s (stage '{stage}')")
             try:
                 message = self._pipe.recv()

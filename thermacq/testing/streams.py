@@ -162,6 +162,27 @@ def take_items(
     return items
 
 
+def demand_same_pace(tick_rate_hz: float, pace: Callable[[], tuple[float, float]]) -> None:
+    """Demand that device and host agree on how much time passed.
+
+    Parameters
+    ----------
+    tick_rate_hz
+        The declared rate of the device's clock.
+    pace
+        Runs the device for a moment and returns seconds by its ticks and by the host's clock. One run of
+        three must agree: a busy computer delays the receipt, a wrong rate is always wrong.
+    """
+    for _ in range(3):
+        device_s, host_s = pace()
+        if abs(device_s - host_s) <= 0.25 * host_s + 0.1:
+            return
+    raise Nonconformity(
+        f"the ticks say that {device_s:.3g} s passed, the host says {host_s:.3g} s: declare the tick_rate_hz "
+        f"at which the device counts, not {tick_rate_hz:g}"
+    )
+
+
 def _run_stream(bench: Bench, stream: str, run: Callable[[], None], for_s: float) -> None:
     """Run the host's loop; an early end or an untyped error is a fault of the driver."""
     try:
