@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from thermacq.devices import DeviceContext, Settings
 from thermacq.errors import DeviceFault, RigError
 from thermacq.settings import explain
 from thermacq_drivers.simflume.cases import FLUME_DEPTH_M, TABLE_II
-
-
-class Table(BaseModel):
-    """Base of all settings of the simulation: unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+from thermacq_drivers.simflume.heat_settings import CylinderSettings, LampSettings, SurroundingsSettings
+from thermacq_drivers.simflume.tables import Table as Table  # noqa: PLC0414 (others take it from here)
 
 
 class StillSurface(Table):
@@ -99,6 +95,9 @@ class SceneSettings(Table):
     water_temperature_k: float = Field(295.0, gt=273, lt=373)
     surface: StillSurface | RegularSurface = Field(StillSurface(), discriminator="kind")
     texture: TextureSettings = TextureSettings()
+    lamps: LampSettings | None = None
+    surroundings: SurroundingsSettings | None = None
+    cylinder: CylinderSettings | None = None
     chessboard: ChessboardSettings = ChessboardSettings()
 
     @model_validator(mode="after")
