@@ -39,7 +39,9 @@ def check_settings(model: type[_Model], settings: Mapping[str, Any], device: str
     try:
         return model.model_validate(dict(settings))
     except ValidationError as error:
-        raise DeviceFault(device, "configure", "; ".join(sentence for _, sentence in _findings(error, model))) from None
+        raise DeviceFault(
+            device, "configure", "; ".join(sentence for _, sentence in _findings(error, model))
+        ) from None
 
 
 def explain(

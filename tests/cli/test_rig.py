@@ -23,8 +23,9 @@ from thermacq.devices import (
 from thermacq.hooks import Evidence
 from thermacq.plugins import load_plugins
 from thermacq.rig import parse_rig
-from thermacq.rig.fit import Machine, find_misfits
+from thermacq.rig.fit import find_misfits
 from thermacq.rig.inspection import DeviceReport, inspect_devices
+from thermacq.rig.machine import Machine
 
 PLUGIN = """
 import os, time
@@ -184,7 +185,7 @@ def test_a_hanging_device_is_given_up_and_its_process_ended(tmp_path, monkeypatc
 CAMERA = CameraCapabilities(512, 640, 14, 60.0, frozenset({TriggerMode.HARDWARE}))
 PROBE = ProbeCapabilities(("a", "b"), "V", 1000.0)
 SOURCE = TriggerCapabilities(max_rate_hz=55.0, period_step_s=1e-3)
-PLENTY = Machine(cores=64, shared_memory_bytes=10**12, disk_bytes=10**15)
+PLENTY = Machine(cores=64, memory_bytes=10**12, disk_bytes=10**15)
 TABLES = """
 [trigger]
 mode = 'hardware'
@@ -262,9 +263,9 @@ def test_the_same_device_twice_is_found():
 
 
 def test_a_small_machine_is_found():
-    small = Machine(cores=64, shared_memory_bytes=100_000_000, disk_bytes=2 * 10**9)
+    small = Machine(cores=64, memory_bytes=100_000_000, disk_bytes=2 * 10**9)
     lines = misfits(machine=small)
-    assert lines[0].startswith("error: the rings need 131 MB of shared memory, 100 MB are free")
+    assert lines[0].startswith("error: the rings need 131 MB of memory, of 100 MB that are free")
     assert lines[1].startswith("warning: the disk here holds 15 s of uncompressed pictures")
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import os
 import platform
-import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -21,9 +19,10 @@ from thermacq.errors import AcquisitionError, RigError
 from thermacq.hooks import Evidence
 from thermacq.plugins import plugins
 from thermacq.rig import Rig
-from thermacq.rig.fit import find_misfits, this_machine
+from thermacq.rig.fit import find_misfits
 from thermacq.rig.inspection import DeviceReport
 from thermacq.rig.load import devices_of
+from thermacq.rig.machine import this_machine
 from thermacq.store import CameraStream, ProbeStream, RunHeader
 from thermacq.timing import NS_PER_S, ClockSettings
 
@@ -120,9 +119,7 @@ def check_fit(job: Job, opened: Mapping[str, Opened]) -> list[str]:
                     capabilities=answer.capabilities,
                 )
             )
-    # Rings are anonymous memory: not limited by what /dev/shm may hold, and refused when allocated.
-    machine = replace(this_machine(job.output.parent), shared_memory_bytes=sys.maxsize)
-    findings = find_misfits(rig, reports, plugins(), machine)
+    findings = find_misfits(rig, reports, plugins(), this_machine(job.output.parent))
     wrong = [finding.message for finding in findings if finding.severity == "error"]
     wrong += _calibration_misfits(job, opened)
     if wrong:

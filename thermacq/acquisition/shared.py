@@ -10,21 +10,10 @@ from __future__ import annotations
 import mmap
 import os
 from multiprocessing.reduction import DupFd
-from pathlib import Path
 from typing import Any
 
 from thermacq.errors import AcquisitionError
-
-_LARGEST_PART = 0.8
-
-
-def available_bytes() -> int:
-    """Memory that can be had without swapping."""
-    for line in Path("/proc/meminfo").read_text().splitlines():
-        name, _, value = line.partition(":")
-        if name == "MemAvailable":
-            return int(value.split()[0]) * 1024
-    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+from thermacq.rig.machine import LARGEST_RING_PART, available_memory_bytes
 
 
 class SharedBlock:
@@ -42,7 +31,7 @@ class SharedBlock:
             There is not enough memory.
         """
         # Asked first, because the system would rather kill processes than refuse memory.
-        if size > _LARGEST_PART * available_bytes():
+        if size > LARGEST_RING_PART * available_memory_bytes():
             raise AcquisitionError(
                 f"there is no room in memory for a ring of {size / 1e6:.0f} MB",
                 remedy="Shorten `ring_s` in the rig's [store] table, or close other programs.",

@@ -67,7 +67,9 @@ def demo(
             err.print(f"\n[bold]{purpose}[/]  [dim]({number}/{len(_STEPS)})[/]")
         _run(command, output)
     minutes, seconds = divmod(int(time.monotonic() - start), 60)
-    out.print(f"\ndone in {minutes} min {seconds} s; everything is simulated. Report: {output / 'report.html'}")
+    out.print(
+        f"\ndone in {minutes} min {seconds} s; everything is simulated. Report: {output / 'report.html'}"
+    )
 
 
 def _run(command: str, folder: Path) -> None:

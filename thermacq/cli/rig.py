@@ -12,8 +12,9 @@ from thermacq.cli.common import EXIT_FINDINGS, err, out, print_json
 
 if TYPE_CHECKING:
     from thermacq.hooks import RigFinding
-    from thermacq.rig.fit import Load, Machine
+    from thermacq.rig.fit import Load
     from thermacq.rig.inspection import DeviceReport
+    from thermacq.rig.machine import Machine
     from thermacq.rig.model import Rig
 
 app = typer.Typer(help="Check a rig file, show it, export its schema.", no_args_is_help=True)
@@ -46,8 +47,9 @@ def check(rig_file: RigFile, scene: SceneFile = None, as_json: AsJson = False) -
     """Open every device, show what it applied, and say what does not fit (then exit with 3)."""
     from thermacq.plugins import plugins
     from thermacq.rig import load_rig
-    from thermacq.rig.fit import find_misfits, load_of, this_machine
+    from thermacq.rig.fit import find_misfits, load_of
     from thermacq.rig.inspection import inspect_devices
+    from thermacq.rig.machine import this_machine
 
     rig = load_rig(rig_file, scene)
     with err.status("opening the devices ..."):
