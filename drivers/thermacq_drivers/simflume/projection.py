@@ -125,7 +125,7 @@ def check_view(camera: PinholeCamera, surface: Surface) -> None:
         )
 
 
-def intersect(surface: Surface, camera: PinholeCamera, rays: Floats, time_s: float) -> Floats:
+def intersect(surface: Surface, camera: PinholeCamera, rays: Floats, time_s: Floats | float) -> Floats:
     """Depth at which rays meet the water, by Newton's method from the still water.
 
     Parameters
@@ -137,7 +137,7 @@ def intersect(surface: Surface, camera: PinholeCamera, rays: Floats, time_s: flo
     rays
         (..., 3) directions in flume axes, of depth 1 in the camera.
     time_s
-        Time of the scene.
+        Time of the scene, one or broadcast against the rays (each row at its own read-out).
 
     Returns
     -------

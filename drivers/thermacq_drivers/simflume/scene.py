@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq_drivers.simflume.chessboard import BoardPose, ChessboardPictures, board_pose
+from thermacq_drivers.simflume.board_settings import UniformSettings
+from thermacq_drivers.simflume.chessboard import BoardPose, ChessboardPictures, board_pose, hand_shake
 from thermacq_drivers.simflume.mounting import Mounting, build_camera, nominal_pair
 from thermacq_drivers.simflume.optics import PinholeCamera
 from thermacq_drivers.simflume.projection import PixelGrid, check_view, intersect
@@ -35,7 +36,7 @@ class View(Protocol):
         Parameters
         ----------
         time_s
-            Time of the scene at the exposure.
+            Time of the scene when the first row is read out.
         index
             Number of the exposure, by which a chessboard is held.
 
@@ -56,6 +57,8 @@ class WaterView:
         The scene.
     camera
         The camera.
+    line_time_s
+        From the read-out of one row to that of the next.
 
     Raises
     ------
@@ -63,27 +66,43 @@ class WaterView:
         The camera cannot look at this water (see `projection.check_view`).
     """
 
-    def __init__(self, settings: SceneSettings, camera: PinholeCamera) -> None:
+    def __init__(self, settings: SceneSettings, camera: PinholeCamera, line_time_s: float = 0.0) -> None:
         self._surface = build_surface(settings)
         check_view(camera, self._surface)
         self._camera = camera
         self._grid = PixelGrid(camera.rows, camera.columns)
         self._rays = camera.rays(self._grid.nodes_px)
+        self._delay_s = row_delay_s(self._grid, line_time_s)
         self._texture = ThermalTexture(settings.texture, settings.seed)
         self._mean_k = np.float32(settings.water_temperature_k)
 
     def temperature(self, time_s: float, index: int) -> NDArray[np.float32]:  # noqa: ARG002 (of the protocol)
         """Apparent temperature; see `View.temperature`."""
-        points = water_points(self._surface, self._camera, self._rays, time_s)
-        label_x, label_y = self._surface.label(points[..., 0], points[..., 1], time_s)
+        read_s = time_s + self._delay_s
+        points = water_points(self._surface, self._camera, self._rays, read_s)
+        label_x, label_y = self._surface.label(points[..., 0], points[..., 1], read_s)
         rows, columns = (self._grid.spread_single(grid_place(label)) for label in (label_x, label_y))
         seen = self._texture.sample(rows, columns, time_s)
         seen += self._mean_k
         return seen
 
 
+class UniformView:
+    """A blackbody that fills the picture of a camera."""
+
+    def __init__(self, settings: UniformSettings, camera: PinholeCamera) -> None:
+        self._settings = settings
+        self._shape = camera.rows, camera.columns
+
+    def temperature(self, time_s: float, index: int) -> NDArray[np.float32]:  # noqa: ARG002 (of the protocol)
+        """Apparent temperature; see `View.temperature`."""
+        levels = self._settings.temperatures_k
+        level = min(index // self._settings.frames_per_temperature, len(levels) - 1)
+        return np.full(self._shape, levels[level], np.float32)
+
+
 class BoardView:
-    """The heated chessboard, held still for some exposures in each pose.
+    """The heated chessboard, held in one pose after the other.
 
     Parameters
     ----------
@@ -93,25 +112,34 @@ class BoardView:
         The camera.
     mounting
         Its mounting, from which the poses follow.
+    line_time_s
+        From the read-out of one row to that of the next.
     """
 
-    def __init__(self, settings: SceneSettings, camera: PinholeCamera, mounting: Mounting) -> None:
+    def __init__(
+        self, settings: SceneSettings, camera: PinholeCamera, mounting: Mounting, line_time_s: float = 0.0
+    ) -> None:
         self._settings = settings
         self._pair = nominal_pair(mounting)
         self._pictures = ChessboardPictures(settings.chessboard, camera, settings.water_temperature_k)
+        self._delay_s = row_delay_s(self._pictures.grid, line_time_s)
         self._view = -1
         self._picture = np.empty((0, 0), np.float32)
 
-    def temperature(self, time_s: float, index: int) -> NDArray[np.float32]:  # noqa: ARG002 (of the protocol)
+    def temperature(self, time_s: float, index: int) -> NDArray[np.float32]:
         """Apparent temperature; see `View.temperature`."""
-        view = index // self._settings.chessboard.frames_per_view
+        board, seed = self._settings.chessboard, self._settings.seed
+        view = index // board.frames_per_view
+        if board.shake_m > 0:
+            moved_m = hand_shake(board, seed, view, time_s + self._delay_s)
+            return self._pictures.temperature(self.pose(view), moved_m)
         if view != self._view:
             self._picture = self._pictures.temperature(self.pose(view))
             self._view = view
         return self._picture.copy()
 
     def pose(self, view: int) -> BoardPose:
-        """Pose in which the board is held for one view."""
+        """Pose in which the board is held for one view; a shaking hand moves about it."""
         return board_pose(self._settings.chessboard, self._settings.seed, view, self._pair)
 
 
@@ -119,19 +147,26 @@ def check_scene(settings: SceneSettings, mounting: Mounting) -> None:
     """Refuse a camera that cannot see the scene from where it stands; raises `ValueError`."""
     if settings.view == "chessboard":
         board_pose(settings.chessboard, settings.seed, 0, nominal_pair(mounting))
-    else:
+    elif settings.view == "water":
         check_view(build_camera(mounting), build_surface(settings))
 
 
-def build_view(settings: SceneSettings, mounting: Mounting) -> View:
+def build_view(settings: SceneSettings, mounting: Mounting, line_time_s: float = 0.0) -> View:
     """What a camera with this mounting sees of the scene; raises `ValueError` when it cannot see it."""
     camera = build_camera(mounting)
+    if settings.view == "uniform":
+        return UniformView(settings.uniform, camera)
     if settings.view == "chessboard":
-        return BoardView(settings, camera, mounting)
-    return WaterView(settings, camera)
+        return BoardView(settings, camera, mounting, line_time_s)
+    return WaterView(settings, camera, line_time_s)
 
 
-def water_points(surface: Surface, camera: PinholeCamera, rays: Floats, time_s: float) -> Floats:
+def row_delay_s(grid: PixelGrid, line_time_s: float) -> Floats | float:
+    """Time from the read-out of the first row to that of each node, (node rows, 1) seconds; 0: all at once."""
+    return line_time_s * grid.nodes_px[:, :1, 1] if line_time_s else 0.0
+
+
+def water_points(surface: Surface, camera: PinholeCamera, rays: Floats, time_s: Floats | float) -> Floats:
     """Points (..., 3) in flume coordinates at which rays (..., 3) meet the water, metres."""
     depth = intersect(surface, camera, rays, time_s)
     points: Floats = camera.centre_m + depth[..., None] * rays

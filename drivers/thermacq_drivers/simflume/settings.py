@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 from thermacq.devices import DeviceContext, Settings
 from thermacq.errors import DeviceFault, RigError
 from thermacq.settings import explain
+from thermacq_drivers.simflume.board_settings import ChessboardSettings, UniformSettings
 from thermacq_drivers.simflume.cases import FLUME_DEPTH_M, TABLE_II
 from thermacq_drivers.simflume.heat_settings import CylinderSettings, LampSettings, SurroundingsSettings
 from thermacq_drivers.simflume.tables import Table as Table  # noqa: PLC0414 (others take it from here)
@@ -66,30 +67,11 @@ class TextureSettings(Table):
         return self
 
 
-class ChessboardSettings(Table):
-    """A heated chessboard held in front of the cameras, one pose after the other."""
-
-    columns: int = Field(9, ge=3, description="inner corners along a row")
-    rows: int = Field(6, ge=3, description="inner corners along a column")
-    square_m: float = Field(0.05, gt=0, lt=0.5)
-    contrast_k: float = Field(6.0, gt=0, description="apparent difference of the two coatings")
-    frames_per_view: int = Field(4, ge=1, description="frames for which a pose is held")
-    nearest_m: float = Field(0.45, gt=0.1)
-    farthest_m: float = Field(0.9, lt=5)
-    largest_tilt_deg: float = Field(40.0, ge=0, le=50)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> ChessboardSettings:
-        if self.nearest_m >= self.farthest_m:
-            raise ValueError("nearest_m must be less than farthest_m")
-        return self
-
-
 class SceneSettings(Table):
     """What the simulated devices look at."""
 
     simulator: Literal["simflume"] = "simflume"
-    view: Literal["water", "chessboard"] = "water"
+    view: Literal["water", "chessboard", "uniform"] = "water"
     seed: int = Field(1, ge=0, lt=2**32, description="fixes every random thing of scene and devices")
     depth_m: float = Field(FLUME_DEPTH_M, gt=0.05)
     water_temperature_k: float = Field(295.0, gt=273, lt=373)
@@ -99,6 +81,7 @@ class SceneSettings(Table):
     surroundings: SurroundingsSettings | None = None
     cylinder: CylinderSettings | None = None
     chessboard: ChessboardSettings = ChessboardSettings()
+    uniform: UniformSettings = UniformSettings()
 
     @model_validator(mode="after")
     def _possible_wave(self) -> SceneSettings:
