@@ -25,7 +25,7 @@ from thermacq.store import CameraStream, FrameRow, RunHeader, RunWriter
 from thermacq_calibration import StereoCalibration
 
 ROWS, COLUMNS, FOCAL_PX, BASELINE_M = 512, 640, 705.9, 0.06
-PAIRS = 64
+PAIRS = 128
 RANGE = {"min_disparity": 47, "max_disparity": 84}
 
 
