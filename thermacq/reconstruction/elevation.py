@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from thermacq.reconstruction.matching import MatchingJob, PairReader, make_match
 from thermacq.reconstruction.mean_surface import points_of
 from thermacq.reconstruction.outliers import reject_outliers
 from thermacq.reconstruction.outputs import check_new_file
-from thermacq.reconstruction.parts import PartMaker, PartsJob, Progress, make_parts, read_parts, worker
+from thermacq.reconstruction.parts import PartMaker, PartsJob, Progress, make_parts, read_parts
 from thermacq.reconstruction.product import ProductWriter
 from thermacq.reconstruction.source import Source
 from thermacq.reconstruction.still_water import find_world_frame
@@ -103,7 +104,7 @@ def reconstruct(
         "elevation",
         len(source.pairs),
         parts_folder / key,
-        worker(_surfaces_of_part, source.job(source.pairs), world, grid, table.min_points_per_cell),
+        partial(_surfaces_of_part, source.job(source.pairs), world, grid, table.min_points_per_cell),
     )
     make_parts(job, workers, progress)
     supported = _write(job, output, source, world, grid)

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -48,7 +47,8 @@ class PartsJob:
     folder
         Where the parts go.
     make_worker
-        Makes the function that makes parts, in each process once; travels to the processes by pickling.
+        Makes the function that makes parts, in each process once; travels there by pickling, so a
+        `functools.partial` of a function of a module.
     """
 
     stage: str
@@ -212,8 +212,3 @@ def _make_part_in_worker(part: int) -> int:
     if _Worker.make is None:
         _Worker.make = _Worker.job.make_worker()
     return _make_part(_Worker.job, part, _Worker.make)
-
-
-def worker(function: Callable[..., PartMaker], *arguments: Any) -> Callable[[], PartMaker]:
-    """A `PartsJob.make_worker` that survives pickling."""
-    return partial(function, *arguments)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from thermacq.errors import ReconstructionError
 from thermacq.reconstruction.matching import MatchingJob, PairReader, make_matcher
 from thermacq.reconstruction.mean_surface import DisparityMean, points_of, single_frame_sigma_m
 from thermacq.reconstruction.outliers import reject_outliers
-from thermacq.reconstruction.parts import PartMaker, PartsJob, Progress, make_parts, read_parts, worker
+from thermacq.reconstruction.parts import PartMaker, PartsJob, Progress, make_parts, read_parts
 from thermacq.reconstruction.plane import fit_plane
 from thermacq.reconstruction.source import Source
 from thermacq.reconstruction.triangulation import depth_per_pixel
@@ -52,7 +53,7 @@ def find_world_frame(
     chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_PAIRS)).round().astype(np.intp))
     pairs = source.pairs.select(chosen)
     key = source.key(pairs, stage="mean surface")
-    job = PartsJob("mean surface", len(pairs), parts_folder / key, worker(_mean_of_part, source.job(pairs)))
+    job = PartsJob("mean surface", len(pairs), parts_folder / key, partial(_mean_of_part, source.job(pairs)))
     make_parts(job, workers, progress)
     rows, columns = source.calibration.image_size[::-1]
     mean = DisparityMean.empty((rows, columns))
