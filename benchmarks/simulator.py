@@ -17,7 +17,8 @@ import numpy as np
 from thermacq_drivers.simflume.mounting import Mounting, build_camera
 from thermacq_drivers.simflume.projection import PixelGrid, intersect
 from thermacq_drivers.simflume.scene import View, build_surface, build_view
-from thermacq_drivers.simflume.sensor import Sensor, SensorSettings
+from thermacq_drivers.simflume.sensor import Sensor
+from thermacq_drivers.simflume.sensor_settings import SensorSettings
 from thermacq_drivers.simflume.settings import parse_scene
 
 ROWS, COLUMNS = 512, 640

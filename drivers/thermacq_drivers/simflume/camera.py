@@ -18,6 +18,7 @@ from thermacq.devices import (
     DeviceContext,
     DeviceIdentity,
     Frame,
+    FrameFlag,
     FrameHost,
     Settings,
     TriggerMode,
@@ -25,6 +26,7 @@ from thermacq.devices import (
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceOverrun, DeviceTimeout, IncompleteFrame
 from thermacq.settings import check_settings
 from thermacq.timing import NS_PER_S
+from thermacq_drivers.simflume.bolometer import lagged_temperature
 from thermacq_drivers.simflume.epoch import DeviceClockSettings, SceneTime
 from thermacq_drivers.simflume.exposures import (
     Exposure,
@@ -34,12 +36,23 @@ from thermacq_drivers.simflume.exposures import (
     SoftwareTriggers,
     sleep_until,
 )
+from thermacq_drivers.simflume.lens import build_lens
 from thermacq_drivers.simflume.line import LineReader
 from thermacq_drivers.simflume.mounting import Mounting
 from thermacq_drivers.simflume.scene import View, build_view, check_scene
 from thermacq_drivers.simflume.seeds import generator
-from thermacq_drivers.simflume.sensor import BIT_DEPTH, Sensor, SensorSettings
+from thermacq_drivers.simflume.sensor import Sensor
+from thermacq_drivers.simflume.sensor_settings import (
+    BolometerSettings,
+    CameraCondition,
+    LensSettings,
+    SensorSettings,
+    ShutterSettings,
+    WarmUpSettings,
+)
 from thermacq_drivers.simflume.settings import SceneSettings, device_scene
+from thermacq_drivers.simflume.shutter import Shutter
+from thermacq_drivers.simflume.warm_up import fpa_reading
 
 MAX_FRAME_RATE_HZ = 200.0
 
@@ -47,7 +60,11 @@ MAX_FRAME_RATE_HZ = 200.0
 class CameraSettings(Mounting):
     """Settings of a simulated camera; frames are counted from 0 at `arm`, frame -1 is never."""
 
+    lens: LensSettings | None = Field(None, description="None: the plain blur of `sensor`")
     sensor: SensorSettings = SensorSettings()
+    bolometer: BolometerSettings = BolometerSettings()
+    warm_up: WarmUpSettings = WarmUpSettings()
+    shutter: ShutterSettings = ShutterSettings()
     clock: DeviceClockSettings = DeviceClockSettings()
     counter_bits: int = Field(16, ge=8, le=64)
     counter_start: int = Field(0, ge=0, description="frame counter after arming")
@@ -65,6 +82,12 @@ class CameraSettings(Mounting):
     fail_at_frame: int = Field(-1, ge=-1, description="the camera is unplugged here")
 
 
+def in_condition(settings: CameraSettings, condition: CameraCondition) -> CameraSettings:
+    """Settings of a camera in the condition that the scene asks for."""
+    given = {name: table for name, table in condition if table is not None}
+    return settings.model_copy(update=given)
+
+
 class SimulatedCamera:
     """The camera behind ``driver = "sim-camera"``."""
 
@@ -78,7 +101,11 @@ class SimulatedCamera:
         self._scene_time = SceneTime(context.clock, context.runtime_dir)
         self._view: View | None = None
         self._sensor: Sensor | None = None
-        self._loop: list[Counts] = []
+        self._shutter: Shutter | None = None
+        self._frame_rate_hz = 1.0
+        self._held_since_s: float | None = None
+        self._held: Counts = np.empty((0, 0), np.uint16)
+        self._loop: list[tuple[Counts, FrameFlag]] = []
         self._exposures: ExposureSource | None = None
         self._last_good = -1
 
@@ -89,11 +116,14 @@ class SimulatedCamera:
         return CameraCapabilities(
             rows=settings.rows,
             columns=settings.columns,
-            bit_depth=BIT_DEPTH,
+            bit_depth=settings.sensor.bit_depth,
             max_frame_rate_hz=MAX_FRAME_RATE_HZ,
             trigger_modes=frozenset(TriggerMode),
             tick_rate_hz=settings.clock.tick_rate_hz,
             counter_bits=settings.counter_bits,
+            has_shutter=settings.shutter.is_used,
+            has_temperature=True,
+            line_time_s=settings.bolometer.line_time_s,
         )
 
     def open(self) -> DeviceIdentity:
@@ -110,8 +140,8 @@ class SimulatedCamera:
             check_scene(scene, checked)
         except ValueError as error:
             raise self._fault(DeviceFault, "configure", str(error)) from None
-        self._settings, self._scene = checked, scene
-        return checked.model_dump()
+        self._settings, self._scene = in_condition(checked, scene.camera), scene
+        return self._settings.model_dump()
 
     def arm(self, mode: TriggerMode, frame_rate_hz: float) -> None:
         """Build the scene, and be ready for the first exposure."""
@@ -121,13 +151,33 @@ class SimulatedCamera:
             what = f"{frame_rate_hz:g} frames/s asked, at most {MAX_FRAME_RATE_HZ:g} possible"
             raise self._fault(DeviceFault, "arm", what)
         settings = self._settings
-        self._view = build_view(self._scene, settings)
-        self._sensor = Sensor(settings.sensor, settings.rows, settings.columns, self._scene.seed, self._name)
-        self._loop = [
-            self._draw(number / frame_rate_hz, number) for number in range(settings.cached_loop_frames)
-        ]
+        self._view = build_view(self._scene, settings, settings.bolometer.line_time_s)
+        self._sensor = self._make_sensor()
+        self._shutter = Shutter(settings.shutter, self._scene.seed, self._name)
+        self._frame_rate_hz = frame_rate_hz
+        self._held_since_s = None
+        self._loop = []
+        for number in range(settings.cached_loop_frames):
+            counts: NDArray[np.uint16] = np.empty((settings.rows, settings.columns), np.uint16)
+            self._loop.append((counts, self._expose(number / frame_rate_hz, number, counts)))
         self._last_good = -1
         self._exposures = self._make_exposures(mode, frame_rate_hz)
+
+    def _make_sensor(self) -> Sensor:
+        settings, scene = self._settings, self._scene
+        lens = None
+        if settings.lens is not None:
+            lens = build_lens(settings.lens, settings, integrated=scene.view == "chessboard")
+        return Sensor(
+            settings.sensor,
+            settings.rows,
+            settings.columns,
+            scene.seed,
+            self._name,
+            lens=lens,
+            warm_up=settings.warm_up,
+            shutter=settings.shutter,
+        )
 
     def _make_exposures(self, mode: TriggerMode, frame_rate_hz: float) -> ExposureSource:
         settings = self._settings
@@ -171,7 +221,7 @@ class SimulatedCamera:
     def close(self) -> None:
         """Let go of everything."""
         self.disarm()
-        self._view = self._sensor = None
+        self._view = self._sensor = self._shutter = None
         self._loop = []
         self._is_open = False
 
@@ -180,9 +230,11 @@ class SimulatedCamera:
         number = exposure.number
         start_s = self._scene_time.seconds(exposure.start_ns) + self._latency_s(number)
         if self._loop:
-            np.copyto(counts, self._loop[number % len(self._loop)])
+            picture, flags = self._loop[number % len(self._loop)]
+            np.copyto(counts, picture)
         else:
-            self._expose(start_s, exposure.trigger_index if exposure.trigger_index >= 0 else number, counts)
+            index = exposure.trigger_index if exposure.trigger_index >= 0 else number
+            flags = self._expose(start_s, index, counts)
         self._last_good = number
         return Frame(
             counts=counts,
@@ -190,17 +242,31 @@ class SimulatedCamera:
             ticks=settings.clock.ticks(start_s),
             host_ns=self._clock.now_ns(),
             trigger_index=exposure.trigger_index,
+            flags=flags,
+            fpa_temperature_k=fpa_reading(settings.warm_up, start_s, self._scene.seed, self._name, number),
         )
 
-    def _draw(self, time_s: float, index: int) -> Counts:
-        counts: NDArray[np.uint16] = np.empty((self._settings.rows, self._settings.columns), np.uint16)
-        self._expose(time_s, index, counts)
-        return counts
+    def _expose(self, time_s: float, index: int, counts: Counts) -> FrameFlag:
+        """Fill `counts` with the picture of this time, or the frozen one while the shutter is closed."""
+        if self._shutter is None:
+            raise self._fault(DeviceFault, "acquire", "it is not armed")
+        since_s = self._shutter.closed_since(time_s)
+        if since_s is None:
+            self._draw(time_s, index, counts)
+            return FrameFlag.NONE
+        if since_s != self._held_since_s:
+            ago = self._shutter.frames_frozen(time_s, self._frame_rate_hz)
+            self._held = np.empty_like(counts)
+            self._draw(time_s - ago / self._frame_rate_hz, max(0, index - ago), self._held)
+            self._held_since_s = since_s
+        np.copyto(counts, self._held)
+        return FrameFlag.SHUTTER
 
-    def _expose(self, time_s: float, index: int, counts: Counts) -> None:
+    def _draw(self, time_s: float, index: int, counts: Counts) -> None:
         if self._view is None or self._sensor is None:
             raise self._fault(DeviceFault, "acquire", "it is not armed")
-        self._sensor.expose(self._view.temperature(time_s, index), index, counts)
+        seen = lagged_temperature(self._view, self._settings.bolometer, time_s, index)
+        self._sensor.expose(seen, index, counts, time_s)
 
     def _latency_s(self, number: int) -> float:
         settings = self._settings

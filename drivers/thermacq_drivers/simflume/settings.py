@@ -13,6 +13,7 @@ from thermacq.settings import explain
 from thermacq_drivers.simflume.board_settings import ChessboardSettings, UniformSettings
 from thermacq_drivers.simflume.cases import FLUME_DEPTH_M, TABLE_II
 from thermacq_drivers.simflume.heat_settings import CylinderSettings, LampSettings, SurroundingsSettings
+from thermacq_drivers.simflume.sensor_settings import CameraCondition
 from thermacq_drivers.simflume.tables import Table as Table  # noqa: PLC0414 (others take it from here)
 
 
@@ -82,6 +83,7 @@ class SceneSettings(Table):
     cylinder: CylinderSettings | None = None
     chessboard: ChessboardSettings = ChessboardSettings()
     uniform: UniformSettings = UniformSettings()
+    camera: CameraCondition = CameraCondition()
 
     @model_validator(mode="after")
     def _possible_wave(self) -> SceneSettings:

@@ -4,11 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
+from thermacq_drivers.simflume.board_settings import ChessboardSettings
 from thermacq_drivers.simflume.chessboard import ChessboardPictures, board_pose, corner_grid, true_corners
 from thermacq_drivers.simflume.mounting import Mounting, build_camera, nominal_pair
 from thermacq_drivers.simflume.scene import BoardView
-from thermacq_drivers.simflume.sensor import Sensor, SensorSettings
-from thermacq_drivers.simflume.settings import ChessboardSettings, parse_scene
+from thermacq_drivers.simflume.sensor import Sensor
+from thermacq_drivers.simflume.sensor_settings import SensorSettings
+from thermacq_drivers.simflume.settings import parse_scene
 
 BOARD = ChessboardSettings()
 PAIR = nominal_pair(Mounting())

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thermacq_drivers.simflume.sensor import MIDDLE_COUNT, Sensor, SensorSettings
+from thermacq_drivers.simflume.sensor import Sensor
+from thermacq_drivers.simflume.sensor_settings import SensorSettings
 
 QUIET = {
     "netd_k": 0.0,
@@ -14,6 +15,7 @@ QUIET = {
     "blur_px": 0.0,
 }
 SHAPE = (128, 160)
+MIDDLE_COUNT = 6000
 
 
 def expose(
@@ -61,15 +63,12 @@ def test_shading_is_smooth_and_of_the_stated_size() -> None:
     assert np.abs(np.diff(shading, axis=1)).max() <= 10
 
 
-def test_bad_pixels_are_stuck_or_replaced() -> None:
-    raw = expose({**QUIET, "bad_pixel_fraction": 0.01, "bad_pixels": "raw"})
-    bad = raw != MIDDLE_COUNT
-    assert bad.mean() == pytest.approx(0.01, rel=0.25)
-    np.testing.assert_array_equal(
-        raw, expose({**QUIET, "bad_pixel_fraction": 0.01, "bad_pixels": "raw"}, 300.0, 5) * bad + ~bad * raw
-    )
-    replaced = expose({**QUIET, "bad_pixel_fraction": 0.01})
-    assert (replaced == MIDDLE_COUNT).mean() > 0.9999
+def test_bad_pixels_show_unless_the_camera_replaces_them() -> None:
+    raw = expose({**QUIET, "bad_pixel_fraction": 0.02, "bad_pixels": "raw"}, 305.0)
+    # Only blinking pixels can look good for a moment.
+    assert (raw != MIDDLE_COUNT + 1000).mean() == pytest.approx(0.02 * 0.7, rel=0.3)
+    replaced = expose({**QUIET, "bad_pixel_fraction": 0.02}, 305.0)
+    assert (replaced == MIDDLE_COUNT + 1000).all()
 
 
 def test_blur_spreads_a_point() -> None:
