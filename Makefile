@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-fast check bench clean
+.PHONY: demo test test-fast check docs bench clean
 
 demo: $(VENV)/ready
 	$(BIN)/thermacq demo --output demo-output
@@ -20,6 +20,9 @@ check: $(VENV)/ready
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m repo_review .
+
+docs: $(VENV)/ready
+	COLUMNS=100 NO_COLOR=1 $(BIN)/python -m typer thermacq.cli.app utils docs --name thermacq --output docs/reference/command-line.md
 
 bench: $(VENV)/ready
 	$(BIN)/python -m benchmarks

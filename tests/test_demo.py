@@ -1,6 +1,7 @@
 """The main job, end to end, through the commands that a user types, against the simulated truth."""
 
 import json
+import re
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -89,6 +90,19 @@ class TestDemo:
         assert parser.found == []
         assert len(page) < 6_000_000
         assert "Simulated" in page
+
+    def test_the_example_of_the_readme_runs(self, demo: tuple[Path, str]) -> None:
+        folder, _ = demo
+        readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+        example = readme.split("```python\n")[1].split("```")[0]
+        assert len(example.splitlines()) <= 10
+        done = subprocess.run(
+            [sys.executable, "-c", example.replace("demo-output", str(folder))],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert re.match(r"0\.0[45]\d\d m at the highest crest, from 400 frames", done.stdout)
 
     def test_may_be_repeated_but_never_empties_a_foreign_folder(self, tmp_path: Path) -> None:
         (tmp_path / "mine").mkdir()

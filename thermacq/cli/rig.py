@@ -86,14 +86,15 @@ def _show_device(report: DeviceReport) -> None:
     out.print(f"[bold]{escape(report.name)}[/]  {escape(who)} ({report.driver}{proven})")
     requested, applied = flat(report.requested), flat(report.applied)
     for key, asked in requested.items():
-        got = f"applied {applied[key]!r}" if key in applied else "not applied"
-        out.print(f"  {escape(f'{key}: asked {asked!r}, {got}')}")
+        in_force = f"{applied[key]!r}" if key in applied else "not applied"
+        note = "" if applied.get(key) == asked else f"  (asked for {asked!r})"
+        out.print(f"  {escape(f'{key} = {in_force}{note}')}")
     defaults = [f"{key} {value}" for key, value in applied.items() if key not in requested]
     if defaults:
         out.print(f"  [dim]by default: {escape(', '.join(defaults))}[/]")
     if report.capabilities:
         facts = ", ".join(f"{key} {_plain(value)}" for key, value in asdict(report.capabilities).items())
-        out.print(f"  can: {escape(facts)}")
+        out.print(f"  [dim]can: {escape(facts)}[/]")
 
 
 def _plain(value: Any) -> str:

@@ -19,10 +19,12 @@ from thermacq.reconstruction.outliers import reject_outliers
 from thermacq.reconstruction.outputs import check_new_file
 from thermacq.reconstruction.parts import PartMaker, PartsJob, Progress, make_parts, read_parts
 from thermacq.reconstruction.product import ProductWriter
+from thermacq.reconstruction.rims import Interior
 from thermacq.reconstruction.source import Source
 from thermacq.reconstruction.still_water import find_world_frame
 from thermacq.reconstruction.triangulation import plane_disparity
 from thermacq.reconstruction.world import WorldFrame
+from thermacq.rig import ReconstructionTable
 from thermacq_calibration import Rectification, StereoCalibration
 
 _HIGHEST_SHARE = 0.5
@@ -98,13 +100,13 @@ def reconstruct(
         source.pairs,
         stage="elevation",
         world=world.to_dict(),
-        grid=[table.grid_spacing_m, table.min_points_per_cell],
+        grid=[table.grid_spacing_m, table.min_points_per_cell, table.rim_px],
     )
     job = PartsJob(
         "elevation",
         len(source.pairs),
         parts_folder / key,
-        partial(_surfaces_of_part, source.job(source.pairs), world, grid, table.min_points_per_cell),
+        partial(_surfaces_of_part, source.job(source.pairs), world, grid, table),
     )
     make_parts(job, workers, progress)
     supported = _write(job, output, source, world, grid)
@@ -120,25 +122,31 @@ def parts_folder_of(output: Path) -> Path:
 def surface_of(
     disparity: NDArray[np.float32],
     rectification: Rectification,
+    interior: Interior,
     world: WorldFrame,
     grid: Grid,
     min_points: int,
 ) -> GriddedSurface:
-    """One frame: disparity (rows, columns) to a gridded surface, outliers left out."""
-    points = world.to_world(points_of(reject_outliers(disparity), rectification))
+    """One frame: disparity (rows, columns) to a gridded surface, outliers and rims left out."""
+    trusted = reject_outliers(interior.keep(disparity))
+    points = world.to_world(points_of(trusted, rectification))
     water = np.abs(points[..., 2]) < _HIGHEST_SHARE * world.camera_height_m
     return grid_points(np.where(water[..., None], points, np.nan), grid, min_points)
 
 
-def _surfaces_of_part(job: MatchingJob, world: WorldFrame, grid: Grid, min_points: int) -> PartMaker:
+def _surfaces_of_part(
+    job: MatchingJob, world: WorldFrame, grid: Grid, table: ReconstructionTable
+) -> PartMaker:
     reader = PairReader(job.run_path, StereoCalibration.from_dict(job.calibration), job.pairs)
     matcher = make_matcher(job.matcher, job.settings)
+    interior = Interior.of(reader.rectification, table.rim_px)
+
+    def surface(index: int) -> GriddedSurface:
+        disparity = matcher.match(*reader.read(index))
+        return surface_of(disparity, reader.rectification, interior, world, grid, table.min_points_per_cell)
 
     def make(members: range) -> dict[str, NDArray[Any]]:
-        surfaces = [
-            surface_of(matcher.match(*reader.read(index)), reader.rectification, world, grid, min_points)
-            for index in members
-        ]
+        surfaces = [surface(index) for index in members]
         return {
             "eta": np.stack([surface.eta_m for surface in surfaces]),
             "eta_points": np.stack([surface.points for surface in surfaces]),
@@ -149,11 +157,10 @@ def _surfaces_of_part(job: MatchingJob, world: WorldFrame, grid: Grid, min_point
 
 
 def _common_view(source: Source, world: WorldFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """World x and y, metres, of the still water that both cameras see."""
+    """World x and y, metres, of the still water that both cameras see, rims left out."""
     rectification = source.rectification
-    rows, columns = rectification.image_size[::-1]
     disparity = plane_disparity(
-        (rows, columns),
+        rectification.image_size[::-1],
         world.rotation[2],
         world.camera_height_m,
         focal_px=rectification.focal_px,
@@ -161,14 +168,11 @@ def _common_view(source: Source, world: WorldFrame) -> tuple[NDArray[np.float64]
         baseline_m=rectification.baseline_m,
         doffs_px=rectification.doffs_px,
     )
-    valid_left, valid_right = rectification.valid
-    matched = np.arange(columns) - np.nan_to_num(np.rint(disparity)).astype(np.intp)
-    inside = (matched >= 0) & (matched < columns)
-    seen_right = np.take_along_axis(valid_right, matched.clip(0, columns - 1), axis=1)
+    common = Interior.of(rectification, source.rig.reconstruction.rim_px).keep(disparity.astype(np.float32))
     lowest = source.settings.get("min_disparity")
-    searched = disparity >= (-np.inf if lowest is None else lowest)
-    common = np.where(inside & valid_left & seen_right & searched, disparity, np.nan)
-    water = world.to_world(points_of(common.astype(np.float32), rectification))
+    if lowest is not None:
+        common[common < lowest] = np.nan
+    water = world.to_world(points_of(common, rectification))
     return water[..., 0], water[..., 1]
 
 
@@ -201,4 +205,5 @@ def _attributes(source: Source, world: WorldFrame) -> dict[str, Any]:
         "baseline_m": rectification.baseline_m,
         "pairs_left_out": source.pairs.left_out,
         "min_points_per_cell": source.rig.reconstruction.min_points_per_cell,
+        "rim_px": source.rig.reconstruction.rim_px,
     }

@@ -115,6 +115,9 @@ class ReconstructionTable(_Table):
     matcher_settings: dict[str, Any] = Field(default_factory=dict)
     grid_spacing_m: float = Field(0.005, gt=0)
     min_points_per_cell: int = Field(3, ge=1)
+    rim_px: int = Field(
+        12, ge=0, description="pixels nearer than this to the border of what both cameras see are left out"
+    )
 
 
 class Rig(_Table):
