@@ -11,6 +11,7 @@ from fractions import Fraction
 
 FLUME_DEPTH_M = 0.9
 FLUME_WIDTH_M = 1.0
+FLUME_LENGTH_M = 20.0
 
 _STEEPNESSES = ("1/16", "2/25", "1/10")
 # Period in seconds: heights in cm in the order of _STEEPNESSES (Table II).

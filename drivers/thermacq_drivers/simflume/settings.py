@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 from pydantic import Field, ValidationError, model_validator
@@ -15,6 +14,13 @@ from thermacq_drivers.simflume.cases import FLUME_DEPTH_M, TABLE_II
 from thermacq_drivers.simflume.heat_settings import CylinderSettings, LampSettings, SurroundingsSettings
 from thermacq_drivers.simflume.sensor_settings import CameraCondition
 from thermacq_drivers.simflume.tables import Table as Table  # noqa: PLC0414 (others take it from here)
+from thermacq_drivers.simflume.water_settings import (
+    GroupSurface,
+    IrregularSurface,
+    RampSettings,
+    ReflectionSettings,
+    SeicheSettings,
+)
 
 
 class StillSurface(Table):
@@ -76,7 +82,12 @@ class SceneSettings(Table):
     seed: int = Field(1, ge=0, lt=2**32, description="fixes every random thing of scene and devices")
     depth_m: float = Field(FLUME_DEPTH_M, gt=0.05)
     water_temperature_k: float = Field(295.0, gt=273, lt=373)
-    surface: StillSurface | RegularSurface = Field(StillSurface(), discriminator="kind")
+    surface: StillSurface | RegularSurface | IrregularSurface | GroupSurface = Field(
+        StillSurface(), discriminator="kind"
+    )
+    reflection: ReflectionSettings | None = None
+    ramp: RampSettings | None = None
+    seiche: SeicheSettings | None = None
     texture: TextureSettings = TextureSettings()
     lamps: LampSettings | None = None
     surroundings: SurroundingsSettings | None = None
@@ -86,11 +97,12 @@ class SceneSettings(Table):
     camera: CameraCondition = CameraCondition()
 
     @model_validator(mode="after")
-    def _possible_wave(self) -> SceneSettings:
-        if isinstance(self.surface, RegularSurface):
-            from thermacq_drivers.simflume.regular_wave import solve_wave
+    def _possible_water(self) -> SceneSettings:
+        from thermacq_drivers.simflume.water import build_water
 
-            solve_wave(*self.surface.wave, self.depth_m, math.radians(self.surface.phase_deg))
+        if isinstance(self.surface, StillSurface) and (self.reflection or self.ramp):
+            raise ValueError("still water has no waves to reflect or to start")
+        build_water(self)
         return self
 
 
