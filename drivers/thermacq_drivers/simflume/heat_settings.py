@@ -17,16 +17,20 @@ class LampSettings(Table):
     length_m: float = Field(0.25, gt=0, lt=2, description="of a tube, along y")
     width_m: float = Field(0.012, ge=0.004, lt=0.2, description="of a tube, along x")
     tube_k: float = Field(700.0, gt=250, lt=2000, description="apparent temperature of a tube, 8-14 µm")
-    rise_k: float = Field(1.5, ge=0, le=20, description="mean warming of the water's skin at x = 0")
+    rise_k: float = Field(
+        1.5, ge=0, le=20, description="warming of the water's skin at x = 0, in line with a lamp"
+    )
     decay_length_m: float = Field(0.8, gt=0.05, description="downstream, to 1/e of the warming")
-    unevenness: float = Field(0.25, ge=0, lt=1, description="of the warming between and below lamps")
+    unevenness: float = Field(
+        0.25, ge=0, lt=1, description="part of the warming that is missing between lamps"
+    )
 
 
 class SurroundingsSettings(Table):
     """What the water emits and reflects; without this table it is black."""
 
     emissivity: float = Field(
-        0.95, gt=0.5, le=1, description="of water at normal incidence; pure water by Fresnel: 0.987"
+        0.95, gt=0.5, le=1, description="of water at normal incidence; pure water by Fresnel: 0.985"
     )
     ambient_k: float = Field(292.0, gt=200, lt=400, description="of air, walls and ceiling as reflected")
 

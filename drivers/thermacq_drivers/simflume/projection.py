@@ -57,9 +57,9 @@ class PixelGrid:
         self.nodes_px: Floats = np.stack(np.meshgrid(column_nodes, row_nodes), axis=-1)
         """(node rows, node columns, 2) column and row of each node."""
 
-    def spread(self, at_nodes: Floats, rows: slice = slice(None)) -> Floats:
+    def spread(self, at_nodes: Floats, rows: slice = slice(None), columns: slice = slice(None)) -> Floats:
         """Values at the nodes to values at the pixels: (node rows, node columns) to (rows, columns)."""
-        return _product(self._to_rows[rows], at_nodes, self._to_columns)
+        return _product(self._to_rows[rows], at_nodes, self._to_columns[:, columns])
 
     def spread_single(self, at_nodes: Floats) -> NDArray[np.float32]:
         """Like `spread`, in single precision: twice as fast, good to about 5e-7 of the values' range."""
@@ -96,6 +96,11 @@ def _interpolation(size: int, count: int, oversample: int) -> tuple[Floats, Floa
     terms = weights / np.where(hit, 1.0, distance)
     matrix: Floats = np.where(hit.any(axis=1, keepdims=True), hit, terms / terms.sum(axis=1, keepdims=True))
     return nodes, matrix
+
+
+def row_delay_s(nodes_px: Floats, line_time_s: float) -> Floats | float:
+    """Time from the read-out of the first row to that of each node, (node rows, 1) seconds; 0: all at once."""
+    return line_time_s * nodes_px[:, :1, 1] if line_time_s else 0.0
 
 
 def check_view(camera: PinholeCamera, surface: Surface) -> None:
@@ -159,3 +164,10 @@ def intersect(surface: Surface, camera: PinholeCamera, rays: Floats, time_s: Flo
         if np.abs(gap).max() < _TOLERANCE_M:
             return depth
     raise ValueError("some rays of the camera do not meet the water")
+
+
+def water_points(surface: Surface, camera: PinholeCamera, rays: Floats, time_s: Floats | float) -> Floats:
+    """Points (..., 3) in flume coordinates at which rays (..., 3) meet the water, metres."""
+    depth = intersect(surface, camera, rays, time_s)
+    points: Floats = camera.centre_m + depth[..., None] * rays
+    return points

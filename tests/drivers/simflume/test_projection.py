@@ -5,9 +5,8 @@ import pytest
 
 from thermacq_drivers.simflume.cases import TABLE_II
 from thermacq_drivers.simflume.mounting import Mounting, build_camera
-from thermacq_drivers.simflume.projection import PixelGrid, check_view, intersect
+from thermacq_drivers.simflume.projection import PixelGrid, check_view, intersect, water_points
 from thermacq_drivers.simflume.regular_wave import solve_wave
-from thermacq_drivers.simflume.scene import water_points
 from thermacq_drivers.simflume.surfaces import StillWater
 
 CAMERAS = {side: build_camera(Mounting(side=side)) for side in ("left", "right")}

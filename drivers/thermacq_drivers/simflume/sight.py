@@ -1,0 +1,303 @@
+"""What each pixel of a camera meets: the water, or the cylinder that stands in it.
+
+The water is met at nodes of the picture (see `projection`); what follows is smooth between them. At the
+cylinder three things are not smooth, and are found pixel by pixel in the part of the picture that shows it:
+
+- whether the ray meets wall or water first: the nearer of the two exact depths;
+- the meniscus, h exp(-(r - a)/l) with the capillary length l = 2.7 mm of water, which raises the water
+  at the wall by h; the ray is cut with water plus meniscus by Newton's method;
+- the ring of water up to 16 mm from the wall, whose place is therefore exact for each pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermacq_drivers.simflume.heat_settings import CylinderSettings, SurroundingsSettings
+from thermacq_drivers.simflume.local_grid import LocalGrid
+from thermacq_drivers.simflume.optics import PinholeCamera
+from thermacq_drivers.simflume.projection import PixelGrid, intersect, row_delay_s
+from thermacq_drivers.simflume.settings import SceneSettings
+from thermacq_drivers.simflume.solids import CylinderPicture, cylinder_picture
+from thermacq_drivers.simflume.surfaces import Floats, Surface
+
+CAPILLARY_LENGTH_M = 0.0027
+RING_M = 0.016
+_HIDDEN_M = 0.01
+_STEPS = 60
+_NEWTON_STEPS = 3
+_FULL_STEPS = 10
+_TOLERANCE_M = 1e-9
+_DEEP_INSIDE = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Water:
+    """Where rays meet the water; arrays of the shape (...) of the rays.
+
+    Parameters
+    ----------
+    points_m
+        (..., 3) in flume coordinates.
+    depth_m
+        Depth in the camera.
+    slope_x, slope_y
+        Slope of the water there.
+    """
+
+    points_m: Floats
+    depth_m: Floats
+    slope_x: Floats
+    slope_y: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """The part of a picture that shows the cylinder, at one moment.
+
+    Parameters
+    ----------
+    water_depth_m
+        (rows, columns) depth at which each pixel meets the water, meniscus included.
+    ring
+        (rows, columns) bool, pixels whose water is close to the wall.
+    ring_water
+        Where they meet it, (ring pixels, ...) each, meniscus included.
+    """
+
+    water_depth_m: Floats
+    ring: NDArray[np.bool_]
+    ring_water: Water
+
+
+class Continued:
+    """Water around a cylinder, continued into it: even in the distance from the wall.
+
+    No water passes the wall, so the elevation's slope across it is zero, and the continued surface is as
+    smooth as nodes beside the wall need it. Labels are continued by their displacement.
+
+    Parameters
+    ----------
+    surface
+        The water outside the cylinder.
+    cylinder
+        The cylinder.
+    """
+
+    def __init__(self, surface: Surface, cylinder: CylinderSettings) -> None:
+        self._surface = surface
+        self._cylinder = cylinder
+        self.highest_m = surface.highest_m
+        self.steepest = surface.steepest
+
+    def elevation(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> Floats:
+        """Elevation above still water, metres."""
+        x, y, _ = self._outside(x_m, y_m)
+        return self._surface.elevation(x, y, time_s)
+
+    def slope(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
+        """Slope along x and along y."""
+        x, y, bend = self._outside(x_m, y_m)
+        along, across = self._surface.slope(x, y, time_s)
+        return bend[0] * along + bend[1] * across, bend[1] * along + bend[2] * across
+
+    def velocity(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
+        """Horizontal velocity (x, y) of the water at the surface, m/s."""
+        x, y, _ = self._outside(x_m, y_m)
+        return self._surface.velocity(x, y, time_s)
+
+    def label(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
+        """Material coordinates (along x, along y) of the particle now at (x, y), metres."""
+        x, y, _ = self._outside(x_m, y_m)
+        along, across = self._surface.label(x, y, time_s)
+        return along + (x_m - x), across + (y_m - y)
+
+    def _outside(self, x_m: Floats, y_m: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats, Floats]]:
+        """Places, those inside the cylinder mirrored at its wall; and the derivatives xx, xy, yy of that."""
+        x, y = x_m - self._cylinder.x_m, y_m - self._cylinder.y_m
+        wall_m = self._cylinder.radius_m
+        # Deep inside, only finite: places there shrink towards the middle.
+        radius = np.maximum(np.hypot(x, y), 0.5 * wall_m)
+        inside = np.maximum(wall_m - radius, 0.0)
+        # Near the wall as far outside as the place is inside; less, deep inside.
+        fading = np.exp(-((2 * inside / wall_m) ** 2))
+        around = np.where(inside > 0, (wall_m + inside * fading) / radius, 1.0)
+        outwards = np.where(inside > 0, -fading * (1 - 8 * (inside / wall_m) ** 2), 1.0)
+        cosine, sine = x / radius, y / radius
+        bend = (
+            outwards * cosine**2 + around * sine**2,
+            (outwards - around) * cosine * sine,
+            outwards * sine**2 + around * cosine**2,
+        )
+        return self._cylinder.x_m + around * x, self._cylinder.y_m + around * y, bend
+
+
+class Sight:
+    """One camera before one scene.
+
+    Parameters
+    ----------
+    surface
+        The water.
+    camera
+        The camera; `projection.check_view` has found it fit.
+    cylinder, picture
+        The cylinder, and how this camera sees it; None where there is none or none in view.
+    line_time_s
+        From the read-out of one row to that of the next.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        camera: PinholeCamera,
+        cylinder: CylinderSettings | None = None,
+        picture: CylinderPicture | None = None,
+        line_time_s: float = 0.0,
+    ) -> None:
+        self.camera = camera
+        self.cylinder = cylinder
+        self.picture = picture
+        self.surface: Surface = surface if cylinder is None else Continued(surface, cylinder)
+        self.grid: PixelGrid | LocalGrid
+        if cylinder is None:
+            self.grid = PixelGrid(camera.rows, camera.columns)
+        else:
+            self.grid = LocalGrid(camera.rows, camera.columns)
+        self.rays = camera.rays(self.grid.nodes_px)
+        self._line_time_s = line_time_s
+        self._delay_s = row_delay_s(self.grid.nodes_px, line_time_s)
+
+    def read_s(self, time_s: float) -> Floats | float:
+        """When each node is read out, (node rows, 1) or a number, if the first row is read at a time."""
+        return time_s + self._delay_s
+
+    def ring_read_s(self, time_s: float, front: Front) -> Floats | float:
+        """When each pixel of the ring is read out, (ring pixels,) or a number."""
+        if self.picture is None or not self._line_time_s:
+            return time_s
+        return time_s + self._line_time_s * (self.picture.rows.start + np.nonzero(front.ring)[0])
+
+    def water(self, time_s: float) -> Water:
+        """Where the rays of the nodes meet the water; `time_s` as for `read_s`."""
+        read_s = self.read_s(time_s)
+        if self.cylinder is None:
+            depth = intersect(self.surface, self.camera, self.rays, read_s)
+        else:
+            depth = self._intersect_outside(self.cylinder, read_s)
+        points = self.camera.centre_m + depth[..., None] * self.rays
+        slope_x, slope_y = self.surface.slope(points[..., 0], points[..., 1], read_s)
+        return Water(points, depth, slope_x, slope_y)
+
+    def _intersect_outside(self, cylinder: CylinderSettings, time_s: Floats | float) -> Floats:
+        """Like `intersect`, but deep inside the cylinder any depth will do."""
+        centre, rays, surface = self.camera.centre_m, self.rays, self.surface
+        depth: Floats = -centre[2] / rays[..., 2]
+        lowest = (-1.5 * surface.highest_m - centre[2]) / rays[..., 2]
+        highest = (surface.highest_m - centre[2]) / rays[..., 2]
+        for step in range(_STEPS):
+            x, y, z = np.moveaxis(centre + depth[..., None] * rays, -1, 0)
+            gap = z - surface.elevation(x, y, time_s)
+            # After some steps of Newton's method the slope is good enough to be kept.
+            if step < _NEWTON_STEPS:
+                slope_x, slope_y = surface.slope(x, y, time_s)
+                descent = rays[..., 2] - slope_x * rays[..., 0] - slope_y * rays[..., 1]
+            # Rays that end inside the cylinder may jump to and fro: half steps calm them.
+            change = gap / descent if step < _FULL_STEPS else 0.5 * gap / descent
+            depth = np.clip(depth - change, highest, lowest)
+            matters = np.hypot(x - cylinder.x_m, y - cylinder.y_m) > _DEEP_INSIDE * cylinder.radius_m
+            if np.abs(gap[matters]).max(initial=0.0) < _TOLERANCE_M:
+                return depth
+        raise ValueError("some rays of the camera do not meet the water")
+
+    def front(self, water: Water) -> Front | None:
+        """What the part of the picture shows that has the cylinder in it."""
+        picture, cylinder = self.picture, self.cylinder
+        if picture is None or cylinder is None:
+            return None
+        depth, slope_x, slope_y = (
+            self.grid.spread(values, picture.rows, picture.columns)
+            for values in (water.depth_m, water.slope_x, water.slope_y)
+        )
+        rays, centre = picture.rays, self.camera.centre_m
+        axis = np.array([cylinder.x_m, cylinder.y_m])
+        offset = centre[:2] - axis + depth[..., None] * rays[..., :2]
+        distance = np.hypot(offset[..., 0], offset[..., 1]) - cylinder.radius_m
+        ring = (np.abs(distance) < RING_M) & (depth < picture.depth_m + _HIDDEN_M)
+        ring_rays, ring_depth = rays[ring], depth[ring]
+        ring_x, ring_y = slope_x[ring], slope_y[ring]
+        descent = ring_rays[:, 2] - ring_x * ring_rays[:, 0] - ring_y * ring_rays[:, 1]
+        shift = _meniscus_shift(cylinder, offset[ring], ring_rays, descent)
+        depth[ring] = ring_depth + shift
+        points = centre + depth[ring][:, None] * ring_rays
+        _, growth, outward = _meniscus(cylinder, points[:, :2] - axis)
+        ring_water = Water(
+            points, depth[ring], ring_x + growth * outward[:, 0], ring_y + growth * outward[:, 1]
+        )
+        return Front(depth, ring, ring_water)
+
+    def depth(self, time_s: float) -> tuple[Floats, NDArray[np.bool_]]:
+        """Depth of what the middle of each pixel sees, and whether that is the cylinder: (rows, columns)."""
+        water = self.water(time_s)
+        depth = self.grid.spread(water.depth_m)
+        on_cylinder = np.zeros(depth.shape, bool)
+        front = self.front(water)
+        if front is not None and self.picture is not None:
+            part = self.picture.rows, self.picture.columns
+            depth[part] = np.minimum(front.water_depth_m, self.picture.depth_m)
+            on_cylinder[part] = self.picture.depth_m < front.water_depth_m
+        return depth, on_cylinder
+
+
+def build_sight(
+    settings: SceneSettings, surface: Surface, camera: PinholeCamera, line_time_s: float = 0.0
+) -> Sight:
+    """A camera before a scene whose water is `surface`."""
+    cylinder = settings.cylinder
+    # `cylinder.Pierced` water has a hole; rays need the water that it was made from.
+    surface = getattr(surface, "surface", surface)
+    if cylinder is None:
+        return Sight(surface, camera, line_time_s=line_time_s)
+    surroundings = settings.surroundings or SurroundingsSettings()
+    picture = cylinder_picture(
+        cylinder, surroundings, camera, RING_M, settings.water_temperature_k, settings.seed
+    )
+    return Sight(surface, camera, cylinder, picture, line_time_s)
+
+
+def cylinder_share(picture: CylinderPicture, front: Front) -> NDArray[np.float32]:
+    """Part of each pixel that shows the cylinder, with the waterline drawn through pixels."""
+    with np.errstate(invalid="ignore"):
+        nearer = (front.water_depth_m - picture.near_depth_m).astype(np.float32)
+    nearer[picture.share == 0] = 0.0
+    down, right = np.gradient(nearer)
+    steepness = np.maximum(np.hypot(down, right), np.float32(1e-6))
+    share: NDArray[np.float32] = np.clip(nearer / steepness + np.float32(0.5), 0, 1) * picture.share
+    return share
+
+
+def _meniscus(cylinder: CylinderSettings, offset_m: Floats) -> tuple[Floats, Floats, Floats]:
+    """Meniscus at places (places, 2) relative to the axis: height, slope outwards, outward direction."""
+    radius = np.hypot(offset_m[:, 0], offset_m[:, 1])
+    beyond = np.maximum(radius - cylinder.radius_m, 0.0)
+    height = cylinder.meniscus_m * np.exp(-beyond / CAPILLARY_LENGTH_M)
+    return height, -height / CAPILLARY_LENGTH_M, offset_m / radius[:, None]
+
+
+def _meniscus_shift(cylinder: CylinderSettings, offset_m: Floats, rays: Floats, descent: Floats) -> Floats:
+    """Change of depth by which rays meet the meniscus rather than the water below it.
+
+    Within so short a way the water below is a plane: `descent` is how fast each ray nears it.
+    """
+    shift = np.zeros(len(rays))
+    for _ in range(_STEPS):
+        height, growth, outward = _meniscus(cylinder, offset_m + shift[:, None] * rays[:, :2])
+        gap = shift * descent - height
+        step = gap / (descent - growth * (rays[:, :2] * outward).sum(axis=1))
+        shift -= step
+        if np.abs(step).max(initial=0.0) < _TOLERANCE_M:
+            break
+    return shift
