@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 import numpy as np
@@ -13,18 +12,15 @@ from thermacq_drivers.simflume.chessboard import BoardPose, ChessboardPictures, 
 from thermacq_drivers.simflume.mounting import Mounting, build_camera, nominal_pair
 from thermacq_drivers.simflume.optics import PinholeCamera
 from thermacq_drivers.simflume.projection import PixelGrid, check_view, intersect
-from thermacq_drivers.simflume.regular_wave import solve_wave
-from thermacq_drivers.simflume.settings import RegularSurface, SceneSettings
-from thermacq_drivers.simflume.surfaces import Floats, StillWater, Surface
+from thermacq_drivers.simflume.settings import SceneSettings
+from thermacq_drivers.simflume.surfaces import Floats, Surface
 from thermacq_drivers.simflume.texture import ThermalTexture, grid_place
+from thermacq_drivers.simflume.water import build_water
 
 
 def build_surface(settings: SceneSettings) -> Surface:
     """The water of a scene."""
-    if isinstance(settings.surface, RegularSurface):
-        period_s, steepness = settings.surface.wave
-        return solve_wave(period_s, steepness, settings.depth_m, math.radians(settings.surface.phase_deg))
-    return StillWater()
+    return build_water(settings)
 
 
 class View(Protocol):

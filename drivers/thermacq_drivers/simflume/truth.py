@@ -19,10 +19,10 @@ from thermacq_drivers.simflume.mounting import build_camera
 from thermacq_drivers.simflume.optics import PinholeCamera, stereo_pose
 from thermacq_drivers.simflume.probe import ProbeSettings
 from thermacq_drivers.simflume.projection import PixelGrid
-from thermacq_drivers.simflume.regular_wave import RegularWave
 from thermacq_drivers.simflume.scene import build_surface, water_points
 from thermacq_drivers.simflume.settings import parse_scene
 from thermacq_drivers.simflume.surfaces import Floats, Surface
+from thermacq_drivers.simflume.water_facts import surface_facts
 
 
 def is_simulated(scene: Settings, rig: Settings) -> bool:
@@ -53,22 +53,6 @@ def truth(request: TruthRequest) -> Truth | None:
 def elevation_on_grid(surface: Surface, time_s: Floats, x_m: Floats, y_m: Floats) -> Floats:
     """Elevation (times, y, x) in metres."""
     return surface.elevation(x_m[None, None, :], y_m[None, :, None], time_s[:, None, None])
-
-
-def surface_facts(surface: Surface) -> dict[str, Any]:
-    """The wave in numbers."""
-    if not isinstance(surface, RegularWave):
-        return {"kind": "still"}
-    return {
-        "kind": "regular",
-        "period_s": surface.period_s,
-        "length_m": surface.length_m,
-        "height_m": surface.height_m,
-        "steepness": surface.height_m / surface.length_m,
-        "celerity_m_s": surface.celerity_m_s,
-        "drift_m_s": surface.drift_m_s,
-        "crest_m": surface.highest_m,
-    }
 
 
 def simulated_cameras(rig: Settings) -> dict[str, CameraSettings]:

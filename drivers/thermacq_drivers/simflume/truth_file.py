@@ -16,6 +16,7 @@ from thermacq_drivers.simflume.optics import PinholeCamera
 from thermacq_drivers.simflume.scene import build_surface
 from thermacq_drivers.simflume.settings import parse_scene
 from thermacq_drivers.simflume.surfaces import Floats, Surface
+from thermacq_drivers.simflume.water_facts import surface_facts
 
 if TYPE_CHECKING:
     from thermacq.store import FrameTable, RunFile
@@ -74,7 +75,7 @@ def write_truth(
         surface = build_surface(scene)
         left, right = truth.stereo_pair(cameras)
         facts = {
-            "surface": truth.surface_facts(surface),
+            "surface": surface_facts(surface),
             "calibration": truth.calibration_facts(left, right),
             "clocks": truth.clock_facts(rig),
         }
