@@ -50,8 +50,7 @@ def band_radiance(temperature_k: ArrayLike) -> Floats:
     """Radiance of a black body between 8 and 14 µm, W/(m² sr), of the shape of the temperatures."""
     wavelength = np.linspace(*BAND_UM, _WAVELENGTHS)
     spectral = _spectral_radiance(wavelength, np.asarray(temperature_k, np.float64)[..., None])
-    radiance: Floats = np.trapezoid(spectral, wavelength, axis=-1)
-    return radiance
+    return np.asarray(np.trapezoid(spectral, wavelength, axis=-1))
 
 
 def _spectral_radiance(wavelength_um: Floats, temperature_k: Floats) -> Floats:
@@ -98,9 +97,9 @@ def water_reflectance(cosine: ArrayLike) -> Floats:
     """Reflectance of smooth pure water for unpolarised light, averaged over the band."""
     wavelength, n, k = WATER_INDEX.T
     s, p = fresnel(np.asarray(cosine, np.float64)[..., None], n, k)
-    weight = _spectral_radiance(wavelength, np.float64(_WEIGHT_K))
-    averaged: Floats = np.trapezoid(0.5 * (s + p) * weight, wavelength, axis=-1)
-    return averaged / np.trapezoid(weight, wavelength)
+    weight = _spectral_radiance(wavelength, np.array(_WEIGHT_K))
+    averaged = np.trapezoid(0.5 * (s + p) * weight, wavelength, axis=-1)
+    return np.asarray(averaged / np.trapezoid(weight, wavelength))
 
 
 class WaterSkin:

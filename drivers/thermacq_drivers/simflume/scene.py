@@ -11,10 +11,12 @@ from thermacq_drivers.simflume.board_settings import UniformSettings
 from thermacq_drivers.simflume.chessboard import BoardPose, ChessboardPictures, board_pose, hand_shake
 from thermacq_drivers.simflume.mounting import Mounting, build_camera, nominal_pair
 from thermacq_drivers.simflume.optics import PinholeCamera
-from thermacq_drivers.simflume.projection import PixelGrid, check_view, intersect
+from thermacq_drivers.simflume.projection import check_view, row_delay_s
 from thermacq_drivers.simflume.settings import SceneSettings
-from thermacq_drivers.simflume.surfaces import Floats, Surface
-from thermacq_drivers.simflume.texture import ThermalTexture, grid_place
+from thermacq_drivers.simflume.sight import Water, build_sight, cylinder_share
+from thermacq_drivers.simflume.skin import Skin
+from thermacq_drivers.simflume.solids import check_cylinder
+from thermacq_drivers.simflume.surfaces import Surface
 from thermacq_drivers.simflume.water import build_water
 
 
@@ -63,24 +65,32 @@ class WaterView:
     """
 
     def __init__(self, settings: SceneSettings, camera: PinholeCamera, line_time_s: float = 0.0) -> None:
-        self._surface = build_surface(settings)
-        check_view(camera, self._surface)
-        self._camera = camera
-        self._grid = PixelGrid(camera.rows, camera.columns)
-        self._rays = camera.rays(self._grid.nodes_px)
-        self._delay_s = row_delay_s(self._grid, line_time_s)
-        self._texture = ThermalTexture(settings.texture, settings.seed)
+        surface = build_surface(settings)
+        check_view(camera, surface)
+        self._sight = build_sight(settings, surface, camera, line_time_s)
+        self._skin = Skin(settings, self._sight.surface)
         self._mean_k = np.float32(settings.water_temperature_k)
 
     def temperature(self, time_s: float, index: int) -> NDArray[np.float32]:  # noqa: ARG002 (of the protocol)
         """Apparent temperature; see `View.temperature`."""
-        read_s = time_s + self._delay_s
-        points = water_points(self._surface, self._camera, self._rays, read_s)
-        label_x, label_y = self._surface.label(points[..., 0], points[..., 1], read_s)
-        rows, columns = (self._grid.spread_single(grid_place(label)) for label in (label_x, label_y))
-        seen = self._texture.sample(rows, columns, time_s)
+        sight = self._sight
+        water, read_s = sight.water(time_s), sight.read_s(time_s)
+        labels = sight.surface.label(water.points_m[..., 0], water.points_m[..., 1], read_s)
+        seen = self._skin.picture(sight, water, labels, time_s, read_s)
+        self._draw_cylinder(seen, water, time_s)
         seen += self._mean_k
         return seen
+
+    def _draw_cylinder(self, seen: NDArray[np.float32], water: Water, time_s: float) -> None:
+        """Draw the ring of water around the cylinder, and over it the cylinder where it is nearer."""
+        sight, picture, front = self._sight, self._sight.picture, self._sight.front(water)
+        if picture is None or front is None:
+            return
+        ring, read_s = front.ring_water, sight.ring_read_s(time_s, front)
+        labels = sight.surface.label(ring.points_m[:, 0], ring.points_m[:, 1], read_s)
+        part = seen[picture.rows, picture.columns]
+        part[front.ring] = self._skin.places(ring, picture.rays[front.ring], labels, time_s, read_s)
+        part += cylinder_share(picture, front) * (picture.rise_k - part)
 
 
 class UniformView:
@@ -118,7 +128,7 @@ class BoardView:
         self._settings = settings
         self._pair = nominal_pair(mounting)
         self._pictures = ChessboardPictures(settings.chessboard, camera, settings.water_temperature_k)
-        self._delay_s = row_delay_s(self._pictures.grid, line_time_s)
+        self._delay_s = row_delay_s(self._pictures.grid.nodes_px, line_time_s)
         self._view = -1
         self._picture = np.empty((0, 0), np.float32)
 
@@ -144,7 +154,10 @@ def check_scene(settings: SceneSettings, mounting: Mounting) -> None:
     if settings.view == "chessboard":
         board_pose(settings.chessboard, settings.seed, 0, nominal_pair(mounting))
     elif settings.view == "water":
-        check_view(build_camera(mounting), build_surface(settings))
+        camera = build_camera(mounting)
+        check_view(camera, build_surface(settings))
+        if settings.cylinder is not None:
+            check_cylinder(settings.cylinder, camera)
 
 
 def build_view(settings: SceneSettings, mounting: Mounting, line_time_s: float = 0.0) -> View:
@@ -155,15 +168,3 @@ def build_view(settings: SceneSettings, mounting: Mounting, line_time_s: float =
     if settings.view == "chessboard":
         return BoardView(settings, camera, mounting, line_time_s)
     return WaterView(settings, camera, line_time_s)
-
-
-def row_delay_s(grid: PixelGrid, line_time_s: float) -> Floats | float:
-    """Time from the read-out of the first row to that of each node, (node rows, 1) seconds; 0: all at once."""
-    return line_time_s * grid.nodes_px[:, :1, 1] if line_time_s else 0.0
-
-
-def water_points(surface: Surface, camera: PinholeCamera, rays: Floats, time_s: Floats | float) -> Floats:
-    """Points (..., 3) in flume coordinates at which rays (..., 3) meet the water, metres."""
-    depth = intersect(surface, camera, rays, time_s)
-    points: Floats = camera.centre_m + depth[..., None] * rays
-    return points

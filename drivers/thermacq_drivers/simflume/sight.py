@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from thermacq_drivers.simflume.cylinder import Pierced
 from thermacq_drivers.simflume.heat_settings import CylinderSettings, SurroundingsSettings
 from thermacq_drivers.simflume.local_grid import LocalGrid
 from thermacq_drivers.simflume.optics import PinholeCamera
@@ -88,7 +89,7 @@ class Continued:
     """
 
     def __init__(self, surface: Surface, cylinder: CylinderSettings) -> None:
-        self._surface = surface
+        self.surface = surface
         self._cylinder = cylinder
         self.highest_m = surface.highest_m
         self.steepest = surface.steepest
@@ -96,23 +97,23 @@ class Continued:
     def elevation(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> Floats:
         """Elevation above still water, metres."""
         x, y, _ = self._outside(x_m, y_m)
-        return self._surface.elevation(x, y, time_s)
+        return self.surface.elevation(x, y, time_s)
 
     def slope(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
         """Slope along x and along y."""
         x, y, bend = self._outside(x_m, y_m)
-        along, across = self._surface.slope(x, y, time_s)
+        along, across = self.surface.slope(x, y, time_s)
         return bend[0] * along + bend[1] * across, bend[1] * along + bend[2] * across
 
     def velocity(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
         """Horizontal velocity (x, y) of the water at the surface, m/s."""
         x, y, _ = self._outside(x_m, y_m)
-        return self._surface.velocity(x, y, time_s)
+        return self.surface.velocity(x, y, time_s)
 
     def label(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
         """Material coordinates (along x, along y) of the particle now at (x, y), metres."""
         x, y, _ = self._outside(x_m, y_m)
-        along, across = self._surface.label(x, y, time_s)
+        along, across = self.surface.label(x, y, time_s)
         return along + (x_m - x), across + (y_m - y)
 
     def _outside(self, x_m: Floats, y_m: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats, Floats]]:
@@ -161,7 +162,7 @@ class Sight:
         self.camera = camera
         self.cylinder = cylinder
         self.picture = picture
-        self.surface: Surface = surface if cylinder is None else Continued(surface, cylinder)
+        self.surface: Surface | Continued = surface if cylinder is None else Continued(surface, cylinder)
         self.grid: PixelGrid | LocalGrid
         if cylinder is None:
             self.grid = PixelGrid(camera.rows, camera.columns)
@@ -179,7 +180,8 @@ class Sight:
         """When each pixel of the ring is read out, (ring pixels,) or a number."""
         if self.picture is None or not self._line_time_s:
             return time_s
-        return time_s + self._line_time_s * (self.picture.rows.start + np.nonzero(front.ring)[0])
+        row = self.picture.rows.start + np.nonzero(front.ring)[0]
+        return np.asarray(time_s + self._line_time_s * row)
 
     def water(self, time_s: float) -> Water:
         """Where the rays of the nodes meet the water; `time_s` as for `read_s`."""
@@ -257,8 +259,9 @@ def build_sight(
 ) -> Sight:
     """A camera before a scene whose water is `surface`."""
     cylinder = settings.cylinder
-    # `cylinder.Pierced` water has a hole; rays need the water that it was made from.
-    surface = getattr(surface, "surface", surface)
+    if isinstance(surface, Pierced):
+        # It has a hole; rays need the water that it was made from.
+        surface = surface.surface
     if cylinder is None:
         return Sight(surface, camera, line_time_s=line_time_s)
     surroundings = settings.surroundings or SurroundingsSettings()

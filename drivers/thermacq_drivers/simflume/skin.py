@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermacq_drivers.simflume import lamps as heat_lamps
+from thermacq_drivers.simflume.component_sea import ComponentSea
+from thermacq_drivers.simflume.cylinder import CylinderWave
 from thermacq_drivers.simflume.radiance import WaterSkin, apparent_curvature, apparent_rise
 from thermacq_drivers.simflume.regular_wave import RegularWave
 from thermacq_drivers.simflume.settings import SceneSettings
-from thermacq_drivers.simflume.sight import Sight, Water
+from thermacq_drivers.simflume.sight import Continued, Sight, Water
 from thermacq_drivers.simflume.surfaces import Floats, StillWater, Surface
 from thermacq_drivers.simflume.texture import ThermalTexture, grid_place
 
@@ -137,8 +139,14 @@ class Skin:
 
 def _constant_drift(surface: Surface) -> tuple[float, float] | None:
     """Drift with which labels plus drift times time are mean places; None where there is no such thing."""
-    if isinstance(surface, StillWater):
-        return 0.0, 0.0
-    if isinstance(surface, RegularWave):
-        return surface.drift_m_s, 0.0
-    return None
+    if isinstance(surface, Continued):
+        surface = surface.surface
+    match surface:
+        case StillWater():
+            return 0.0, 0.0
+        case RegularWave():
+            return surface.drift_m_s, 0.0
+        case ComponentSea() | CylinderWave():
+            return surface.drift_m_s
+        case _:
+            return None

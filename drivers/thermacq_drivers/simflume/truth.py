@@ -6,11 +6,9 @@ Answers the hook `thermacq_truth`, and writes a truth file beside a run.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thermacq.devices import Settings
 from thermacq.hooks import Truth, TruthRequest
@@ -18,8 +16,7 @@ from thermacq_drivers.simflume.camera import CameraSettings
 from thermacq_drivers.simflume.mounting import build_camera
 from thermacq_drivers.simflume.optics import PinholeCamera, stereo_pose
 from thermacq_drivers.simflume.probe import ProbeSettings
-from thermacq_drivers.simflume.projection import PixelGrid
-from thermacq_drivers.simflume.scene import build_surface, water_points
+from thermacq_drivers.simflume.scene import build_surface
 from thermacq_drivers.simflume.settings import parse_scene
 from thermacq_drivers.simflume.surfaces import Floats, Surface
 from thermacq_drivers.simflume.water_facts import surface_facts
@@ -97,41 +94,3 @@ def clock_facts(rig: Settings) -> dict[str, Any]:
         if table.get("driver") == "sim-probe":
             clocks[name] = ProbeSettings.model_validate(table.get("settings", {})).clock
     return {name: clock.model_dump() for name, clock in clocks.items()}
-
-
-@dataclass(frozen=True)
-class Correspondence:
-    """Where the water that each pixel of the left picture sees lies; all (rows, columns) float64.
-
-    Parameters
-    ----------
-    depth_m
-        Depth along the optical axis of the left camera.
-    right_column_px, right_row_px
-        Place of the same water in the right picture, as the camera delivers it (distorted).
-    """
-
-    depth_m: Floats
-    right_column_px: Floats
-    right_row_px: Floats
-
-    @property
-    def disparity_px(self) -> Floats:
-        """Column in the left picture minus column in the right one, both as delivered."""
-        columns: NDArray[np.float64] = np.arange(self.depth_m.shape[1], dtype=np.float64)
-        return columns - self.right_column_px
-
-
-def correspondence(
-    surface: Surface, left: PinholeCamera, right: PinholeCamera, time_s: float
-) -> Correspondence:
-    """True depth and correspondence of every pixel of the left picture at a time of the scene."""
-    grid = PixelGrid(left.rows, left.columns)
-    points = water_points(surface, left, left.rays(grid.nodes_px), time_s)
-    depth = (points - left.centre_m) @ left.rotation[2]
-    seen_right = right.project(points)
-    return Correspondence(
-        depth_m=grid.spread(depth),
-        right_column_px=grid.spread(seen_right[..., 0]),
-        right_row_px=grid.spread(seen_right[..., 1]),
-    )

@@ -12,9 +12,11 @@ import numpy as np
 from thermacq.errors import StoreError, ThermacqError
 from thermacq.timing import NS_PER_S
 from thermacq_drivers.simflume import truth
+from thermacq_drivers.simflume.correspondence import correspondence
 from thermacq_drivers.simflume.optics import PinholeCamera
-from thermacq_drivers.simflume.scene import build_surface
-from thermacq_drivers.simflume.settings import parse_scene
+from thermacq_drivers.simflume.scene import WaterView, build_surface
+from thermacq_drivers.simflume.settings import SceneSettings, parse_scene
+from thermacq_drivers.simflume.sight import build_sight
 from thermacq_drivers.simflume.surfaces import Floats, Surface
 from thermacq_drivers.simflume.water_facts import surface_facts
 
@@ -39,7 +41,7 @@ def write_truth(
     spacing_m
         Spacing of the elevation grid, which covers what both cameras see of the still water.
     dense_frames
-        Frames of the left camera for which depth and correspondence of every pixel are written.
+        Frames of the left camera for which depth and correspondence of every pixel are written, for either camera.
 
     Returns
     -------
@@ -83,7 +85,7 @@ def write_truth(
         recording_s = (frames.host_ns - run.header.host_anchor_ns) / NS_PER_S
     x_m, y_m = common_view(left, right, spacing_m)
     _write(output, attributes, surface, (time_s, recording_s, x_m, y_m))
-    _append_dense(output, surface, left, right, time_s, dense_frames)
+    _append_dense(output, scene, left, right, time_s, dense_frames)
     return facts
 
 
@@ -152,38 +154,59 @@ def _write(
         raise StoreError(f"'{output}' cannot be written: {error}") from None
 
 
+_DENSE = {
+    "depth": ("m", "depth along the optical axis of the camera"),
+    "column": ("px", "column of the same thing in the other picture, as delivered"),
+    "row": ("px", "row of the same thing in the other picture, as delivered"),
+    "seen": ("1", "1: water, 2: cylinder"),
+    "occluded": ("1", "1: within the other camera's field of view, but hidden from it"),
+    "outside": ("1", "1: not within the other camera's field of view"),
+    "temperature": ("K", "apparent temperature, linear in radiance, before optics and sensor"),
+}
+
+
 def _append_dense(
     output: Path,
-    surface: Surface,
+    scene: SceneSettings,
     left: PinholeCamera,
     right: PinholeCamera,
     time_s: Floats,
     dense_frames: Sequence[int],
 ) -> None:
+    """Append variables ``left_...`` and ``right_...`` of `_DENSE`: truth of each pixel of either picture."""
     import h5netcdf
 
     if not dense_frames:
         return
-    meanings = {
-        "depth": ("m", "depth along the optical axis of the left camera"),
-        "right_column": ("px", "column of the same water in the right picture, as delivered"),
-        "right_row": ("px", "row of the same water in the right picture, as delivered"),
-    }
+    surface = build_surface(scene)
     with h5netcdf.File(output, "a") as file:
         file.dimensions["dense_frame"] = len(dense_frames)
         file.dimensions["row"], file.dimensions["column"] = left.rows, left.columns
         file.create_variable("dense_frame", ("dense_frame",), data=np.array(dense_frames))
-        for name, (unit, meaning) in meanings.items():
-            variable = file.create_variable(
-                name,
-                ("dense_frame", "row", "column"),
-                np.float64,
-                chunks=(1, left.rows, left.columns),
-                compression="gzip",
-            )
-            variable.attrs.update({"units": unit, "long_name": meaning})
-        for place, frame in enumerate(dense_frames):
-            found = truth.correspondence(surface, left, right, float(time_s[frame]))
-            file["depth"][place] = found.depth_m
-            file["right_column"][place] = found.right_column_px
-            file["right_row"][place] = found.right_row_px
+        for side, camera, other in (("left", left, right), ("right", right, left)):
+            sight, view = build_sight(scene, surface, camera), WaterView(scene, camera)
+            moments = [float(time_s[frame]) for frame in dense_frames]
+            for place, moment in enumerate(moments):
+                found = correspondence(sight, other, moment)
+                values: dict[str, np.ndarray] = {
+                    "depth": found.depth_m,
+                    "column": found.column_px,
+                    "row": found.row_px,
+                    "seen": found.seen,
+                    "occluded": found.occluded.astype(np.uint8),
+                    "outside": found.outside.astype(np.uint8),
+                    "temperature": view.temperature(moment, dense_frames[place]),
+                }
+                for name, array in values.items():
+                    _dense_variable(file, f"{side}_{name}", array)[place] = array
+
+
+def _dense_variable(file: Any, name: str, like: np.ndarray) -> Any:
+    """The variable of this name, made like an array for one frame when it is not there yet."""
+    if name not in file.variables:
+        dimensions = ("dense_frame", "row", "column")
+        chunks = (1, *like.shape)
+        made = file.create_variable(name, dimensions, like.dtype, chunks=chunks, compression="gzip")
+        unit, meaning = _DENSE[name.split("_", 1)[1]]
+        made.attrs.update({"units": unit, "long_name": meaning})
+    return file.variables[name]

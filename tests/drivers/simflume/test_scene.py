@@ -9,10 +9,11 @@ from scipy.integrate import solve_ivp
 from scipy.ndimage import map_coordinates
 
 from thermacq.errors import RigError
+from thermacq_drivers.simflume.correspondence import correspondence
 from thermacq_drivers.simflume.mounting import Mounting, build_camera
 from thermacq_drivers.simflume.scene import WaterView, build_surface
 from thermacq_drivers.simflume.settings import parse_scene
-from thermacq_drivers.simflume.truth import correspondence
+from thermacq_drivers.simflume.sight import build_sight
 
 LASTING = {"texture": {"lifetime_s": 1e9}}
 
@@ -32,8 +33,8 @@ def test_true_disparity_warps_the_right_picture_onto_the_left(case: str) -> None
     time_s = 0.313
     seen_left = WaterView(scene, left).temperature(time_s, 0)
     seen_right = WaterView(scene, right).temperature(time_s, 0)
-    truth = correspondence(build_surface(scene), left, right, time_s)
-    columns, rows = truth.right_column_px, truth.right_row_px
+    truth = correspondence(build_sight(scene, build_surface(scene), left), right, time_s)
+    columns, rows = truth.column_px, truth.row_px
     inside = (columns > 5) & (columns < 634) & (rows > 5) & (rows < 506)
     assert inside.mean() > 0.85
     warped = at(seen_right, np.stack([columns, rows], axis=-1))

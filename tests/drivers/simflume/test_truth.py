@@ -20,11 +20,12 @@ from thermacq.timing import VirtualClock
 from thermacq_drivers.simflume.camera import SimulatedCamera
 from thermacq_drivers.simflume.cases import TABLE_II
 from thermacq_drivers.simflume.commands import app
+from thermacq_drivers.simflume.correspondence import correspondence
 from thermacq_drivers.simflume.mounting import Mounting, build_camera
 from thermacq_drivers.simflume.ready_made import rig_toml, scene_names, scene_toml
 from thermacq_drivers.simflume.scene import build_surface
 from thermacq_drivers.simflume.settings import parse_scene
-from thermacq_drivers.simflume.truth import correspondence
+from thermacq_drivers.simflume.sight import build_sight
 from thermacq_drivers.simflume.truth_file import write_truth
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -116,9 +117,9 @@ def test_the_truth_file(
         left, right = (
             build_camera(Mounting.model_validate({**small, "side": side})) for side in ("left", "right")
         )
-        expected = correspondence(surface, left, right, 0.04)
-        np.testing.assert_allclose(truth.depth[0], expected.depth_m, atol=1e-8)
-        np.testing.assert_allclose(truth.right_column[0], expected.right_column_px, atol=1e-5)
+        expected = correspondence(build_sight(parse_scene(wave), surface, left), right, 0.04)
+        np.testing.assert_allclose(truth.left_depth[0], expected.depth_m, atol=1e-8)
+        np.testing.assert_allclose(truth.left_column[0], expected.column_px, atol=1e-5)
         assert json.loads(truth.attrs["facts"])["clocks"]["left"]["offset_s"] == 4.0
         assert len(truth.attrs["run_sha256"]) == 64
         # What both cameras see: more than a third of a metre along the flume, half a metre across it.
@@ -185,7 +186,7 @@ def test_the_truth_command(record: Callable[..., Path], wave: dict[str, Any], tm
     result = CliRunner().invoke(app, ["truth", str(record(wave)), "-o", str(output), "--dense", "1"])
     assert result.exit_code == 0
     with xr.open_dataset(output, engine="h5netcdf") as truth:
-        assert truth.depth.shape == (1, 128, 160)
+        assert truth.right_depth.shape == (1, 128, 160)
 
 
 def test_rig_checks_find_what_does_not_fit() -> None:
