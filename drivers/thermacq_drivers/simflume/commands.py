@@ -23,7 +23,7 @@ def rig() -> None:
 
 @app.command()
 def scene(
-    name: Annotated[str, typer.Argument(help="still, chessboard, or a case shown by `simulate list`.")],
+    name: Annotated[str, typer.Argument(help="A name that `simulate list` shows.")],
 ) -> None:
     """Print a scene file for `--scene`."""
     from thermacq_drivers.simflume.ready_made import scene_toml
@@ -35,13 +35,14 @@ def scene(
 def list_scenes(
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
 ) -> None:
-    """List the scenes, with the waves of Table II as theory has them."""
+    """List the scenes, and the waves of Table II as theory has them."""
     import json
 
     from rich.console import Console
     from rich.table import Table
 
     from thermacq_drivers.simflume.cases import FLUME_DEPTH_M, TABLE_II
+    from thermacq_drivers.simflume.ready_made import scene_summaries
     from thermacq_drivers.simflume.regular_wave import solve_wave
 
     waves = {case: solve_wave(case.period_s, case.steepness, FLUME_DEPTH_M) for case in TABLE_II.values()}
@@ -62,8 +63,6 @@ def list_scenes(
         sys.stdout.write("\n")
         return
     table = Table("scene", "T (s)", "H/λ", "H (cm)", "H in the paper (cm)", "λ (m)", "drift (cm/s)", box=None)
-    table.add_row("still")
-    table.add_row("chessboard")
     for case, wave in waves.items():
         table.add_row(
             case.name,
@@ -74,7 +73,13 @@ def list_scenes(
             f"{wave.length_m:.3f}",
             f"{wave.drift_m_s * 100:.1f}",
         )
-    Console(highlight=False, soft_wrap=True).print(table)
+    scenes = Table("scene", "what it shows", box=None)
+    for name, summary in scene_summaries().items():
+        scenes.add_row(name, summary)
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(scenes)
+    console.print()
+    console.print(table)
 
 
 @app.command()

@@ -3,7 +3,8 @@
 The series of period P runs through independent random values at the multiples of P, shifted at random,
 and mixes neighbours with weights cos and sin, which keeps its variance σ². Its spectrum is that of one
 shape, stretched; periods a factor of two apart therefore add up to the one-sided spectral density
-σ² / (f ln 2), within about a tenth of the band's ends 0.1 / LONGEST_S and 0.3 / SHORTEST_S.
+σ² / (f ln 2). This holds within 15 % from 1 / LONGEST_S to 0.05 / SHORTEST_S; below, the spectrum becomes
+flat, and above, where the white noise rules, it falls faster.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from thermacq_drivers.simflume.seeds import generator
 
-SHORTEST_S = 0.5
+SHORTEST_S = 0.125
 LONGEST_S = 2048.0
 
 

@@ -2,7 +2,7 @@
 
 The blur's transfer function along an axis is the product of diffraction at a circular pupil, the
 geometric disc of defocus, a Gaussian for aberrations, and the box of a pixel's absorber. A short, positive,
-separable kernel follows it; `MTF_TOLERANCE` bounds the difference up to the Nyquist frequency. Two
+separable kernel follows it within `MTF_TOLERANCE` up to the Nyquist frequency, where a short kernel errs most. Two
 simplifications: off the axes the product of two kernels stands for the round spot, and defocus is that of
 one distance, the still water's in the middle of the picture.
 """
@@ -22,8 +22,9 @@ from thermacq_drivers.simflume.mounting import Mounting, build_camera
 from thermacq_drivers.simflume.sensor_settings import LensSettings
 from thermacq_drivers.simflume.surfaces import Floats
 
-MTF_TOLERANCE = 0.03
+MTF_TOLERANCE = 0.08
 _REACH_PX = 4
+# Taps on either side of the middle for a lens in focus.
 _SPOT_WIDTH = 0.12
 # Standard deviation of the reflected image of the sensor, in picture widths.
 
@@ -85,8 +86,9 @@ def build_lens(settings: LensSettings, mounting: Mounting, integrated: bool) -> 
     distance_m = mounting.height_m / math.cos(math.radians(mounting.tilt_deg))
     frequency = np.linspace(0, 0.5, 200)
     wanted = transfer(settings, mounting, distance_m, frequency, integrated)
+    reach_px = _REACH_PX + math.ceil(defocus_disc_px(settings, mounting, distance_m) / 2)
     return Lens(
-        kernel=short_kernel(frequency, wanted).astype(np.float32),
+        kernel=short_kernel(frequency, wanted, reach_px).astype(np.float32),
         transmission=transmission.astype(np.float32),
         narcissus=(settings.narcissus * spot).astype(np.float32),
     )
@@ -100,25 +102,31 @@ def transfer(
     Diffraction: 2/π (acos s - s sqrt(1 - s²)), s = λ F f. Defocus: 2 J1(π d f) / (π d f), with the disc's
     diameter d = (f_lens² / F) |1/z - 1/z_focus|.
     """
-    pitch_um, focal_mm = mounting.pixel_pitch_um, mounting.focal_length_mm
-    cut = np.clip(frequency * settings.wavelength_um * settings.f_number / pitch_um, 0, 1)
+    cut = np.clip(frequency * settings.wavelength_um * settings.f_number / mounting.pixel_pitch_um, 0, 1)
     diffraction = 2 / np.pi * (np.arccos(cut) - cut * np.sqrt(1 - cut**2))
-    defocus_per_m = abs(1 / distance_m - 1 / settings.focus_distance_m)
-    disc_px = focal_mm**2 / settings.f_number * defocus_per_m / pitch_um
-    angle = np.maximum(np.pi * disc_px * frequency, 1e-9)
+    angle = np.maximum(np.pi * defocus_disc_px(settings, mounting, distance_m) * frequency, 1e-9)
     aberration = np.exp(-2 * (np.pi * settings.aberration_px * frequency) ** 2)
     pixel = np.ones_like(frequency) if integrated else np.sinc(settings.fill_factor * frequency)
     product: Floats = diffraction * (2 * j1(angle) / angle) * aberration * pixel
     return product
 
 
-def short_kernel(frequency: Floats, wanted: Floats) -> Floats:
-    """Symmetric positive kernel (taps,) of sum 1 whose transfer function is nearest to the wanted one."""
-    orders = np.arange(_REACH_PX + 1)
-    waves = np.cos(2 * np.pi * np.outer(frequency, orders)) * np.where(orders, 2, 1)
+def defocus_disc_px(settings: LensSettings, mounting: Mounting, distance_m: float) -> float:
+    """Diameter of the disc that a point at this distance becomes, pixels."""
+    defocus_per_m = abs(1 / distance_m - 1 / settings.focus_distance_m)
+    return mounting.focal_length_mm**2 / settings.f_number * defocus_per_m / mounting.pixel_pitch_um
+
+
+def short_kernel(frequency: Floats, wanted: Floats, reach_px: int) -> Floats:
+    """Kernel (taps,) of sum 1 whose transfer function is nearest to the wanted one.
+
+    It is symmetric, positive and falls from its middle, being a sum of boxes.
+    """
+    orders = np.arange(reach_px + 1)
+    boxes = np.cumsum(np.cos(2 * np.pi * np.outer(frequency, orders)) * np.where(orders, 2, 1), axis=1)
     # A heavy first equation keeps the sum at 1, that is uniform views uniform.
-    heavy = np.vstack([1e3 * waves[:1], waves]), np.concatenate([[1e3], wanted])
-    half, _ = nnls(*heavy)
+    heights, _ = nnls(np.vstack([1e3 * boxes[:1], boxes]), np.concatenate([[1e3], wanted]))
+    half = np.cumsum(heights[::-1])[::-1]
     kernel: Floats = np.concatenate([half[:0:-1], half])
     kernel /= kernel.sum()
     return kernel

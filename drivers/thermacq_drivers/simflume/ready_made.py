@@ -3,28 +3,10 @@
 from __future__ import annotations
 
 from importlib import resources
+from importlib.resources.abc import Traversable
 
 from thermacq.errors import RigError
 from thermacq_drivers.simflume.cases import TABLE_II
-
-_STILL = """\
-# Still water with its thermal texture.
-view = "water"
-seed = 1
-surface = { kind = "still" }
-"""
-
-_CHESSBOARD = """\
-# A heated chessboard held before the cameras, in another pose every 4 frames.
-view = "chessboard"
-seed = 1
-
-[chessboard]
-columns = 9
-rows = 6
-square_m = 0.05
-frames_per_view = 4
-"""
 
 _WAVE = """\
 # A regular wave of Table II of the paper: T = {period} s, H/lambda = {steepness}, depth 0.9 m.
@@ -43,13 +25,26 @@ def rig_toml() -> str:
     return resources.files("thermacq_drivers.simflume").joinpath("rig.toml").read_text(encoding="utf-8")
 
 
+def scene_summaries() -> dict[str, str]:
+    """Scene files that are not of Table II: their names, and what each says of itself in its first line."""
+    names = sorted(file.name for file in _scenes().iterdir() if file.name.endswith(".toml"))
+    return {
+        name.removesuffix(".toml"): _scenes()
+        .joinpath(name)
+        .read_text(encoding="utf-8")
+        .partition("\n")[0]
+        .removeprefix("# ")
+        for name in names
+    }
+
+
 def scene_names() -> list[str]:
     """Names that `scene_toml` knows."""
-    return ["still", "chessboard", *TABLE_II]
+    return [*scene_summaries(), *TABLE_II]
 
 
 def scene_toml(name: str) -> str:
-    """A scene file: still water, the chessboard, or a case of Table II.
+    """A scene file: one of `scene_summaries`, or a case of Table II.
 
     Raises
     ------
@@ -59,6 +54,10 @@ def scene_toml(name: str) -> str:
     if name in TABLE_II:
         period, steepness = name.removeprefix("T").split("-H")
         return _WAVE.format(name=name, period=period, steepness=steepness)
-    if name not in ("still", "chessboard"):
+    if name not in scene_summaries():
         raise RigError(f"there is no scene '{name}'", remedy=f"Known: {', '.join(scene_names())}.")
-    return _STILL if name == "still" else _CHESSBOARD
+    return _scenes().joinpath(f"{name}.toml").read_text(encoding="utf-8")
+
+
+def _scenes() -> Traversable:
+    return resources.files("thermacq_drivers.simflume").joinpath("scenes")

@@ -23,7 +23,7 @@ from thermacq_drivers.simflume.sensor_settings import SensorSettings, ShutterSet
 from thermacq_drivers.simflume.shutter import Shutter
 from thermacq_drivers.simflume.warm_up import fpa_temperature, housing_temperature, settled_fpa_temperature
 
-SLOW_STEP_S = 0.1
+SLOW_STEP_S = 0.05
 """Everything that changes slowly (drift, 1/f noise, housing) is brought up to date so often."""
 
 _SHADING_DEGREE = 3

@@ -18,7 +18,7 @@ class LensSettings(Table):
     """A lens given by its physics, in place of the plain blur `sensor.blur_px`."""
 
     f_number: float = Field(1.0, gt=0.5, le=10)
-    wavelength_um: float = Field(10.0, gt=2, lt=20)
+    wavelength_um: float = Field(10.0, gt=2, le=20)
     focus_distance_m: float = Field(0.65, gt=0.05, description="at which the lens is focused")
     aberration_px: float = Field(0.25, ge=0, le=3, description="Gaussian blur of an imperfect lens")
     fill_factor: float = Field(0.9, gt=0, le=1, description="width of a pixel's absorber over the pitch")

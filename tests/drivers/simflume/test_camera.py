@@ -2,13 +2,14 @@ from __future__ import annotations
 
 import threading
 import time
+import tomllib
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from thermacq.devices import Camera, DeviceContext, Frame, TriggerMode
+from thermacq.devices import Camera, DeviceContext, Frame, FrameFlag, TriggerMode
 from thermacq.errors import (
     DeviceDisconnected,
     DeviceFault,
@@ -19,6 +20,7 @@ from thermacq.errors import (
 from thermacq.timing import RealClock, VirtualClock
 from thermacq_drivers.simflume.camera import SimulatedCamera
 from thermacq_drivers.simflume.line import LineWriter
+from thermacq_drivers.simflume.ready_made import scene_toml
 
 MakeContext = Callable[..., DeviceContext]
 RATE_HZ = 50.0
@@ -282,3 +284,79 @@ def test_bad_settings_and_impossible_places(context: MakeContext, wave: dict[str
     broken.open()
     with pytest.raises(DeviceFault, match="unknown key 'sead'"):
         broken.configure({})
+
+
+def test_while_the_shutter_is_closed_the_picture_is_frozen_and_flagged(
+    context: MakeContext, small: dict[str, Any], wave: dict[str, Any], host: Any
+) -> None:
+    open_frames = triggered(context(scene=wave), small, host, 9)
+    settings = {**small, "shutter": {"at_s": [0.05], "closed_s": 0.1}}
+    frames = triggered(context(scene=wave), settings, host, 9)
+    assert [bool(frame.flags & FrameFlag.SHUTTER) for frame in frames] == [False] * 3 + [True] * 5 + [False]
+    for frame in frames[3:8]:
+        np.testing.assert_array_equal(frame.counts, open_frames[2].counts)
+    assert [frame.counter for frame in frames] == list(range(9))
+    assert (frames[8].counts != frames[7].counts).mean() > 0.5
+    # A camera that is armed within the event freezes the same picture.
+    camera = ready(context(scene=wave, clock=(clock := VirtualClock())), settings, TriggerMode.SOFTWARE)
+    assert camera.capabilities.has_shutter
+    clock.wait_until_ns(5 * PERIOD_NS)
+    camera.trigger(5)
+    np.testing.assert_array_equal(next(camera.frames(host)).counts, open_frames[2].counts)
+    camera.close()
+
+
+def test_frames_carry_the_temperature_of_the_focal_plane(
+    context: MakeContext, small: dict[str, Any], host: Any
+) -> None:
+    settings = {**small, "warm_up": {"powered_for_s": 600.0, "reading_noise_k": 0.0}}
+    expected = 295 + 10 * (1 - np.exp(-(600.02) / 480))
+    assert triggered(context(), settings, host, 2)[1].fpa_temperature_k == pytest.approx(expected, abs=1e-9)
+    assert triggered(context(), small, host, 1)[0].fpa_temperature_k == pytest.approx(305.0, abs=0.03)
+
+
+def test_the_scene_may_set_the_condition_of_the_cameras(
+    context: MakeContext, small: dict[str, Any], host: Any
+) -> None:
+    scene = {
+        "view": "uniform",
+        "uniform": {"temperatures_k": [290.0, 700.0 / 2], "frames_per_temperature": 2},
+        "camera": {
+            "sensor": {"bit_depth": 16, "counts_per_k": 1000.0, "bad_pixel_fraction": 0.0},
+            "bolometer": {"line_time_s": 3e-5},
+        },
+    }
+    camera = SimulatedCamera(context(scene=scene))
+    camera.open()
+    applied = camera.configure({**small, "sensor": {"netd_k": 0.5}, "tilt_deg": 10.0})
+    assert applied["sensor"]["bit_depth"] == 16
+    assert applied["sensor"]["netd_k"] == 0.035
+    assert applied["tilt_deg"] == 10.0
+    assert camera.configure(applied) == applied
+    assert camera.capabilities.bit_depth == 16
+    assert camera.capabilities.line_time_s == 3e-5
+    frames = triggered(context(scene=scene), small, host, 4)
+    assert frames[1].counts.mean() == pytest.approx(24000 - 5000, abs=60)
+    # 55 K above the reference is beyond full scale.
+    assert (frames[2].counts == 2**16 - 1).all()
+    np.testing.assert_array_equal(frames[2].counts, frames[3].counts)
+
+
+def test_a_raw_camera_is_reproducible_whatever_came_before(
+    context: MakeContext, small: dict[str, Any], wave: dict[str, Any], host: Any
+) -> None:
+    raw = tomllib.loads(scene_toml("cold-start"))["camera"]
+    scene = {**wave, "camera": {**raw, "shutter": {"at_s": [0.03], "closed_s": 0.04}}}
+    frames = triggered(context(scene=scene), small, host, 6)
+    camera = ready(context(scene=scene, clock=(clock := VirtualClock())), small, TriggerMode.SOFTWARE)
+    clock.wait_until_ns(5 * PERIOD_NS)
+    camera.trigger(5)
+    alone = next(camera.frames(host))
+    np.testing.assert_array_equal(alone.counts, frames[5].counts)
+    camera.close()
+
+
+def test_a_cached_loop_keeps_the_flags(context: MakeContext, small: dict[str, Any], host: Any) -> None:
+    settings = {**small, "cached_loop_frames": 3, "shutter": {"at_s": [0.015], "closed_s": 0.01}}
+    flags = [frame.flags for frame in triggered(context(), settings, host, 6)]
+    assert flags == [FrameFlag.NONE, FrameFlag.SHUTTER, FrameFlag.NONE] * 2
