@@ -110,10 +110,13 @@ class ComponentSea:
     ----------
     components
         The waves.
+    random_phases
+        Whether the phases are random, so that crests of all waves never meet.
     """
 
-    def __init__(self, components: Components) -> None:
+    def __init__(self, components: Components, random_phases: bool = False) -> None:
         self.components = components
+        self._random_phases = random_phases
         a, k = components.amplitude_m, components.wavenumber_rad_m
         growth = a / np.tanh(k * components.depth_m)
         unit_x, unit_y = components.along_rad_m / k, components.across_rad_m / k
@@ -143,13 +146,17 @@ class ComponentSea:
 
     @property
     def highest_m(self) -> float:
-        """Upper bound of the elevation: the sum of amplitudes, or five standard deviations if that is less."""
-        return _extreme(self.components.amplitude_m)
+        """Upper bound of the elevation: the sum of amplitudes, in a random sea five standard deviations."""
+        return self._extreme(self.components.amplitude_m)
 
     @property
     def steepest(self) -> float:
         """Upper bound of the slope, like `highest_m`."""
-        return _extreme(self.components.amplitude_m * self.components.wavenumber_rad_m)
+        return self._extreme(self.components.amplitude_m * self.components.wavenumber_rad_m)
+
+    def _extreme(self, amplitudes: Floats) -> float:
+        deviation = math.sqrt(float(amplitudes @ amplitudes) / 2)
+        return min(float(amplitudes.sum()), _EXTREME * deviation if self._random_phases else math.inf)
 
     def elevation(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> Floats:
         """Elevation above still water, metres."""
@@ -275,10 +282,6 @@ def _real_product(left: Complexes, right: Complexes) -> Floats:
     block = max(1, _SMALL_PRODUCT // right_parts.size)
     parts = [left_parts[start : start + block] @ right_parts for start in range(0, len(left), block)]
     return np.concatenate(parts)
-
-
-def _extreme(amplitudes: Floats) -> float:
-    return min(float(amplitudes.sum()), _EXTREME * math.sqrt(float((amplitudes**2).sum()) / 2))
 
 
 def _largest(values: Floats) -> float:

@@ -133,7 +133,7 @@ def _linear_waves(settings: SceneSettings, surface: IrregularSurface | GroupSurf
     back = settings.reflection
     if back is not None:
         components = join(components, components.reflected(back.coefficient, back.absorber_x_m))
-    return ComponentSea(components)
+    return ComponentSea(components, random_phases=surface.kind == "irregular")
 
 
 def _regular_waves(settings: SceneSettings, surface: RegularSurface) -> Waves:
