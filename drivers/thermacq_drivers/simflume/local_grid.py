@@ -1,4 +1,4 @@
-"""Interpolation from an even grid of nodes to the pixels, by local cubics.
+"""Interpolation from an even grid of nodes to the pixels, by local polynomials.
 
 For waters that are smooth only in pieces, as around a cylinder: what the water is inside the cylinder does
 not spread over the picture, as it would with `projection.PixelGrid`. The interface is the same.
@@ -12,12 +12,13 @@ from scipy.sparse import csr_array
 
 from thermacq_drivers.simflume.surfaces import Floats
 
-SPACING_PX = 8
+SPACING_PX = 7
+_POINTS = 6
 _WHOLE = slice(None)
 
 
 class LocalGrid:
-    """Interpolation with polynomials of third degree through the four nearest nodes along each axis.
+    """Interpolation with polynomials of fifth degree through the six nearest nodes along each axis.
 
     Parameters
     ----------
@@ -51,21 +52,16 @@ class LocalGrid:
 
 
 def _interpolation(size: int, spacing: int) -> tuple[Floats, csr_array]:
-    """Nodes over pixels -0.5 .. size - 0.5 with one beyond each end, and the matrix from them to the pixels."""
+    """Nodes over pixels -0.5 .. size - 0.5 with two beyond each end, and the matrix from them to the pixels."""
     intervals = -(-size // spacing)
-    nodes = -0.5 + spacing * np.arange(-1, intervals + 2.0)
+    nodes = -0.5 + spacing * np.arange(-2, intervals + 3.0)
     place = (np.arange(size) - nodes[0]) / spacing
-    first = np.floor(place).astype(np.intp) - 1
-    t = place - first  # from the first of four nodes; between 1 and 2
-    weights = np.stack(
-        [
-            -(t - 1) * (t - 2) * (t - 3) / 6,
-            t * (t - 2) * (t - 3) / 2,
-            -t * (t - 1) * (t - 3) / 2,
-            t * (t - 1) * (t - 2) / 6,
-        ],
-        axis=1,
-    )
-    node = first[:, None] + np.arange(4)
-    starts = 4 * np.arange(size + 1)
+    first = np.floor(place).astype(np.intp) - _POINTS // 2 + 1
+    from_first = (place - first)[:, None]
+    weights = np.ones((size, _POINTS))
+    for point in range(_POINTS):
+        others = np.delete(np.arange(_POINTS), point)
+        weights[:, point] = np.prod((from_first - others) / (point - others), axis=1)
+    node = first[:, None] + np.arange(_POINTS)
+    starts = _POINTS * np.arange(size + 1)
     return nodes, csr_array((weights.ravel(), node.ravel(), starts), shape=(size, len(nodes)))

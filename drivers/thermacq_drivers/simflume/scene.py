@@ -83,10 +83,10 @@ class WaterView:
 
     def _draw_cylinder(self, seen: NDArray[np.float32], water: Water, time_s: float) -> None:
         """Draw the ring of water around the cylinder, and over it the cylinder where it is nearer."""
-        sight, picture, front = self._sight, self._sight.picture, self._sight.front(water)
+        sight, picture, front = self._sight, self._sight.picture, self._sight.front(water, time_s)
         if picture is None or front is None:
             return
-        ring, read_s = front.ring_water, sight.ring_read_s(time_s, front)
+        ring, read_s = front.ring_water, front.ring_read_s
         labels = sight.surface.label(ring.points_m[:, 0], ring.points_m[:, 1], read_s)
         part = seen[picture.rows, picture.columns]
         part[front.ring] = self._skin.places(ring, picture.rays[front.ring], labels, time_s, read_s)

@@ -6,7 +6,8 @@ cylinder three things are not smooth, and are found pixel by pixel in the part o
 - whether the ray meets wall or water first: the nearer of the two exact depths;
 - the meniscus, h exp(-(r - a)/l) with the capillary length l = 2.7 mm of water, which raises the water
   at the wall by h; the ray is cut with water plus meniscus by Newton's method;
-- the ring of water up to 16 mm from the wall, whose place is therefore exact for each pixel.
+- the ring of water up to 30 mm from the wall, where nodes inside the cylinder would be felt: each of its
+  pixels is cut with the water by two more steps of Newton's method.
 """
 
 from __future__ import annotations
@@ -26,13 +27,15 @@ from thermacq_drivers.simflume.solids import CylinderPicture, cylinder_picture
 from thermacq_drivers.simflume.surfaces import Floats, Surface
 
 CAPILLARY_LENGTH_M = 0.0027
-RING_M = 0.016
+RING_M = 0.03
 _HIDDEN_M = 0.01
 _STEPS = 60
 _NEWTON_STEPS = 3
 _FULL_STEPS = 10
 _TOLERANCE_M = 1e-9
+_INSIDE_TOLERANCE_M = 1e-6
 _DEEP_INSIDE = 0.6
+# Nodes that far inside the cylinder, in radii, do not touch any pixel that shows water.
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +70,14 @@ class Front:
         (rows, columns) bool, pixels whose water is close to the wall.
     ring_water
         Where they meet it, (ring pixels, ...) each, meniscus included.
+    ring_read_s
+        When they are read out, (ring pixels,) or a number.
     """
 
     water_depth_m: Floats
     ring: NDArray[np.bool_]
     ring_water: Water
+    ring_read_s: Floats | float
 
 
 class Continued:
@@ -176,13 +182,6 @@ class Sight:
         """When each node is read out, (node rows, 1) or a number, if the first row is read at a time."""
         return time_s + self._delay_s
 
-    def ring_read_s(self, time_s: float, front: Front) -> Floats | float:
-        """When each pixel of the ring is read out, (ring pixels,) or a number."""
-        if self.picture is None or not self._line_time_s:
-            return time_s
-        row = self.picture.rows.start + np.nonzero(front.ring)[0]
-        return np.asarray(time_s + self._line_time_s * row)
-
     def water(self, time_s: float) -> Water:
         """Where the rays of the nodes meet the water; `time_s` as for `read_s`."""
         read_s = self.read_s(time_s)
@@ -210,13 +209,14 @@ class Sight:
             # Rays that end inside the cylinder may jump to and fro: half steps calm them.
             change = gap / descent if step < _FULL_STEPS else 0.5 * gap / descent
             depth = np.clip(depth - change, highest, lowest)
-            matters = np.hypot(x - cylinder.x_m, y - cylinder.y_m) > _DEEP_INSIDE * cylinder.radius_m
-            if np.abs(gap[matters]).max(initial=0.0) < _TOLERANCE_M:
+            radius = np.hypot(x - cylinder.x_m, y - cylinder.y_m) / cylinder.radius_m
+            tolerance = np.where(radius > 1, _TOLERANCE_M, _INSIDE_TOLERANCE_M)
+            if np.all((np.abs(gap) < tolerance) | (radius < _DEEP_INSIDE)):
                 return depth
         raise ValueError("some rays of the camera do not meet the water")
 
-    def front(self, water: Water) -> Front | None:
-        """What the part of the picture shows that has the cylinder in it."""
+    def front(self, water: Water, time_s: float) -> Front | None:
+        """What the part of the picture shows that has the cylinder in it; `time_s` as for `read_s`."""
         picture, cylinder = self.picture, self.cylinder
         if picture is None or cylinder is None:
             return None
@@ -224,29 +224,31 @@ class Sight:
             self.grid.spread(values, picture.rows, picture.columns)
             for values in (water.depth_m, water.slope_x, water.slope_y)
         )
-        rays, centre = picture.rays, self.camera.centre_m
-        axis = np.array([cylinder.x_m, cylinder.y_m])
-        offset = centre[:2] - axis + depth[..., None] * rays[..., :2]
+        centre, axis = self.camera.centre_m, np.array([cylinder.x_m, cylinder.y_m])
+        offset = centre[:2] - axis + depth[..., None] * picture.rays[..., :2]
         distance = np.hypot(offset[..., 0], offset[..., 1]) - cylinder.radius_m
         ring = (np.abs(distance) < RING_M) & (depth < picture.depth_m + _HIDDEN_M)
-        ring_rays, ring_depth = rays[ring], depth[ring]
-        ring_x, ring_y = slope_x[ring], slope_y[ring]
-        descent = ring_rays[:, 2] - ring_x * ring_rays[:, 0] - ring_y * ring_rays[:, 1]
-        shift = _meniscus_shift(cylinder, offset[ring], ring_rays, descent)
-        depth[ring] = ring_depth + shift
-        points = centre + depth[ring][:, None] * ring_rays
+        rays, slope_x, slope_y = picture.rays[ring], slope_x[ring], slope_y[ring]
+        read_s: Floats | float = time_s
+        if self._line_time_s:
+            read_s = time_s + self._line_time_s * (picture.rows.start + np.nonzero(ring)[0])
+        descent = rays[:, 2] - slope_x * rays[:, 0] - slope_y * rays[:, 1]
+        points = centre + depth[ring][:, None] * rays
+        for _ in range(2):
+            gap = points[:, 2] - self.surface.elevation(points[:, 0], points[:, 1], read_s)
+            change = _change_of_depth(cylinder, points[:, :2] - axis, rays, gap, descent)
+            points += change[:, None] * rays
+        depth[ring] = (points - centre) @ self.camera.rotation[2]
         _, growth, outward = _meniscus(cylinder, points[:, :2] - axis)
-        ring_water = Water(
-            points, depth[ring], ring_x + growth * outward[:, 0], ring_y + growth * outward[:, 1]
-        )
-        return Front(depth, ring, ring_water)
+        sloping = slope_x + growth * outward[:, 0], slope_y + growth * outward[:, 1]
+        return Front(depth, ring, Water(points, depth[ring], *sloping), read_s)
 
     def depth(self, time_s: float) -> tuple[Floats, NDArray[np.bool_]]:
         """Depth of what the middle of each pixel sees, and whether that is the cylinder: (rows, columns)."""
         water = self.water(time_s)
         depth = self.grid.spread(water.depth_m)
         on_cylinder = np.zeros(depth.shape, bool)
-        front = self.front(water)
+        front = self.front(water, time_s)
         if front is not None and self.picture is not None:
             part = self.picture.rows, self.picture.columns
             depth[part] = np.minimum(front.water_depth_m, self.picture.depth_m)
@@ -290,17 +292,19 @@ def _meniscus(cylinder: CylinderSettings, offset_m: Floats) -> tuple[Floats, Flo
     return height, -height / CAPILLARY_LENGTH_M, offset_m / radius[:, None]
 
 
-def _meniscus_shift(cylinder: CylinderSettings, offset_m: Floats, rays: Floats, descent: Floats) -> Floats:
-    """Change of depth by which rays meet the meniscus rather than the water below it.
+def _change_of_depth(
+    cylinder: CylinderSettings, offset_m: Floats, rays: Floats, gap_m: Floats, descent: Floats
+) -> Floats:
+    """Change of depth that brings rays to the water and its meniscus.
 
-    Within so short a way the water below is a plane: `descent` is how fast each ray nears it.
+    Within so short a way the water without meniscus is a plane: `gap_m` is how high each ray is above it,
+    `descent` how fast the gap changes with depth.
     """
-    shift = np.zeros(len(rays))
+    change = -gap_m / descent
     for _ in range(_STEPS):
-        height, growth, outward = _meniscus(cylinder, offset_m + shift[:, None] * rays[:, :2])
-        gap = shift * descent - height
-        step = gap / (descent - growth * (rays[:, :2] * outward).sum(axis=1))
-        shift -= step
+        height, growth, outward = _meniscus(cylinder, offset_m + change[:, None] * rays[:, :2])
+        step = (gap_m + change * descent - height) / (descent - growth * (rays[:, :2] * outward).sum(axis=1))
+        change -= step
         if np.abs(step).max(initial=0.0) < _TOLERANCE_M:
             break
-    return shift
+    return change
