@@ -1,16 +1,23 @@
 """The thermal pattern of the water: a random temperature field over material labels.
 
 The pattern is a function of the material label, so it moves, stretches and drifts with the water. It is
-replaced slowly: at any time two unrelated fields are mixed with weights cos and sin, which keeps the
-variance; each lives for two lifetimes. All fields are one periodic field, shifted at random.
+replaced slowly, by water that comes up from below: at any time two unrelated fields are mixed with weights
+cos and sin, which keeps the variance; each lives for two lifetimes. All fields are one periodic field,
+shifted at random.
 
-The field is defined as the bilinear interpolant of a grid of 0.25 mm, a quarter of a pixel's footprint.
-OpenCV 5 samples that exactly; OpenCV 4 rounds places to 1/32 of the grid, 8 µm or 0.008 px.
+Eddies draw a pattern out into filaments. This is done once, by displacing a Gaussian field with the curl of
+a random stream function at two scales, and then letting heat diffuse over half a millimetre.
+
+The field is defined as the bilinear interpolant of a grid of 0.5 mm, half of a pixel's footprint. OpenCV 5
+samples that exactly; OpenCV 4 rounds places to 1/32 of the grid, 16 µm or 0.017 px. The grid is kept twice
+along each axis, so that a view narrower than one period never has to wrap, which costs more than sampling.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,9 +29,13 @@ from thermacq_drivers.simflume.settings import TextureSettings
 from thermacq_drivers.simflume.surfaces import Floats
 
 _COARSE = 1024
-_REFINEMENT = 4
-_SPACING_M = 0.00025
+_REFINEMENT = 2
+_SPACING_M = 0.0005
 _SIZE = _COARSE * _REFINEMENT
+_EDDY_GRID = 512
+_SMALL_EDDIES = 0.4
+_DIFFUSION_M = 0.0005
+_MARGIN = 8
 PERIOD_M = _SIZE * _SPACING_M
 """The pattern repeats after this distance, 1.024 m, along both label coordinates."""
 
@@ -76,24 +87,21 @@ class ThermalTexture:
     ) -> NDArray[np.float32]:
         # `number` may be -1 just before the scene starts; seeds must not be negative.
         random = generator(self._seed, "texture shift", number % 2**32)
-        down, right = random.uniform(0, _SIZE, 2)
-        sampled = cv2.remap(
-            self._field,
-            _shifted(columns, right),
-            _shifted(rows, down),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_WRAP,
-        )
+        down, right = (int(shift) for shift in random.uniform(0, _SIZE, 2))
+        first_row, rows = _from_first(rows, down)
+        first_column, columns = _from_first(columns, right)
+        sampled = cv2.remap(self._field[first_row:, first_column:], columns, rows, cv2.INTER_LINEAR)
         return np.asarray(sampled, np.float32)
 
 
-def _shifted(place: NDArray[np.float32], shift: float) -> NDArray[np.float32]:
-    """Shifted places within the grid: OpenCV can wrap them too, but far more slowly."""
-    shifted = place + np.float32(shift)
-    periods = np.floor(shifted * np.float32(1 / _SIZE))
-    periods *= np.float32(_SIZE)
-    shifted -= periods
-    return shifted
+def _from_first(place: NDArray[np.float32], shift: int) -> tuple[int, NDArray[np.float32]]:
+    """First row (or column) of the doubled grid that shifted places need, and the places counted from it."""
+    first = int(np.floor(place.min()))
+    start = (first + shift) % _SIZE
+    local = place - np.float32(first)
+    if start + local.max() >= 2 * _SIZE - 1:
+        start, local = 0, np.mod(local + np.float32(start), np.float32(_SIZE))
+    return start, local
 
 
 def grid_place(label_m: Floats) -> Floats:
@@ -105,7 +113,50 @@ def grid_place(label_m: Floats) -> Floats:
 
 @lru_cache(maxsize=1)
 def _random_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
-    """Periodic Gaussian field, (4096, 4096) float32, kelvin; rows along x, columns along y.
+    """The pattern, (4096, 4096) float32, kelvin; rows along x, columns along y."""
+    field = _gaussian_field(settings, seed)
+    if settings.stirring_m > 0:
+        for part in (1.0, _SMALL_EDDIES):
+            field = _stir(field, part * settings.stirring_m, part * settings.eddies_m, seed)
+        field = _wrapped(cv2.GaussianBlur, field, (0, 0), _DIFFUSION_M / _SPACING_M)
+    if settings.warm_streaks > 0:
+        field *= settings.warm_streaks / max(float(field.std()), 1e-30)
+        field = np.expm1(field)
+        field -= field.mean()
+    field *= settings.rms_k / max(float(field.std()), 1e-30)
+    return np.ascontiguousarray(field, np.float32)
+
+
+def _stir(field: NDArray[np.float32], reach_m: float, eddies_m: float, seed: int) -> NDArray[np.float32]:
+    """The field displaced by eddies: by `reach_m` (root mean square), in eddies of that correlation length."""
+    noise = generator(seed, "eddies", round(eddies_m * 1e6)).standard_normal((_EDDY_GRID, _EDDY_GRID))
+    step_m = PERIOD_M / _EDDY_GRID
+    along = 2 * np.pi * fft.fftfreq(_EDDY_GRID, step_m)[:, None]
+    across = 2 * np.pi * fft.rfftfreq(_EDDY_GRID, step_m)[None, :]
+    stream = fft.rfft2(noise) * np.exp(-0.25 * (along**2 + across**2) * eddies_m**2)
+    down, right = fft.irfft2(1j * across * stream), fft.irfft2(-1j * along * stream)
+    scale = reach_m / _SPACING_M / np.sqrt((down**2 + right**2).mean())
+    rows, columns = np.mgrid[:_SIZE, :_SIZE].astype(np.float32)
+    for place, shift in ((rows, down), (columns, right)):
+        size = (_SIZE + 2 * _MARGIN * _SIZE // _EDDY_GRID,) * 2
+        place += _wrapped(cv2.resize, (scale * shift).astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
+    stirred = cv2.remap(
+        field, _shifted(columns, 0), _shifted(rows, 0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
+    )
+    return np.asarray(stirred, np.float32)
+
+
+def _wrapped(
+    operation: Callable[..., Any], field: NDArray[np.float32], *arguments: Any, **options: Any
+) -> NDArray[np.float32]:
+    """A filter or enlargement of a periodic field, which OpenCV would take to end at its border."""
+    padded = np.asarray(operation(np.pad(field, _MARGIN, mode="wrap"), *arguments, **options), np.float32)
+    margin = _MARGIN * padded.shape[0] // (len(field) + 2 * _MARGIN)
+    return padded[margin:-margin, margin:-margin]
+
+
+def _gaussian_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
+    """Periodic Gaussian field, (4096, 4096) float32, of no particular strength.
 
     Equal variance at each correlation length l: the covariance is the mean of exp(-(r/l)²/2).
     """
@@ -126,5 +177,4 @@ def _random_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
     fine[:half, : half + 1] = spectrum[:half]
     fine[-half:, : half + 1] = spectrum[half:]
     field = fft.irfft2(fine, s=(_SIZE, _SIZE), overwrite_x=True)
-    field *= settings.rms_k / max(float(field.std()), 1e-30)
-    return np.ascontiguousarray(field, np.float32)
+    return np.asarray(field, np.float32)
