@@ -6,6 +6,7 @@ components below it leave in a mean of finitely many values. One pass, in memory
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -40,7 +41,7 @@ class NoiseComponents:
     def deviation(self, component: str) -> float:
         """Standard deviation of one component; 0 where the variance came out negative."""
         variance: float = getattr(self, component)
-        return max(0.0, variance) ** 0.5
+        return math.sqrt(max(0.0, variance))
 
 
 def noise_components(pictures: Iterable[ArrayLike]) -> NoiseComponents:
