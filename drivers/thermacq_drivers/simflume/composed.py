@@ -64,9 +64,9 @@ class Superposed:
 class Ramped:
     """Waves whose front travels along the flume at the group speed.
 
-    Elevation and velocity are the full waves' times R = sin²(πq/2), with q going from 0 to 1 in the rise time
-    from the moment when the front passes; harmonics grow like the first one. The label follows the growing orbits
-    and the drift, which goes with R²; it wanders from the particle by about orbit over rise time and period.
+    Elevation and orbits are the full waves' times R = sin²(πq/2), with q going from 0 to 1 in the rise time from
+    the moment when the front passes; harmonics grow like the first one. The drift goes with R². While the waves
+    rise, the label is right to first order.
 
     Parameters
     ----------
@@ -110,9 +110,12 @@ class Ramped:
 
     def velocity(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
         """Horizontal velocity (x, y) of the water at the surface, m/s."""
+        angle = self._angle(x_m, time_s)
+        growth = np.sin(2 * angle) * math.pi / (2 * self.rise_s)
         along, across = self.waves.velocity(x_m, y_m, time_s)
-        part = np.sin(self._angle(x_m, time_s)) ** 2
-        return part * along, part * across
+        shift_x, shift_y = self._displacement(x_m, y_m, time_s)
+        part = np.sin(angle) ** 2
+        return part * along + growth * shift_x, part * across + growth * shift_y
 
     def label(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
         """Material coordinates (along x, along y) of the particle now at (x, y), metres."""
@@ -124,12 +127,15 @@ class Ramped:
         drifting_s = np.maximum(after_s, 0.0) + 2 * self.rise_s / math.pi * (
             3 * angle / 8 - np.sin(2 * angle) / 4 + np.sin(4 * angle) / 32
         )
+        shift_x, shift_y = self._displacement(x_m, y_m, time_s)
         drift_x, drift_y = self.drift_m_s
+        return x_m - part * shift_x - drift_x * drifting_s, y_m - part * shift_y - drift_y * drifting_s
+
+    def _displacement(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
+        """Where particles are on the full waves' orbits."""
         along, across = self.waves.label(x_m, y_m, time_s)
-        return (
-            x_m + part * (along - x_m + drift_x * time) - drift_x * drifting_s,
-            y_m + part * (across - y_m + drift_y * time) - drift_y * drifting_s,
-        )
+        time = np.asarray(time_s, np.float64)
+        return x_m - along - self.drift_m_s[0] * time, y_m - across - self.drift_m_s[1] * time
 
     def _angle(self, x_m: Floats, time_s: Floats | float) -> Floats:
         """πq/2 at points and times."""

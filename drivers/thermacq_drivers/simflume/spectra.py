@@ -111,6 +111,6 @@ def check_sea(significant_wave_height_m: float, peak_period_s: float, depth_m: f
     highest_m = STEEPEST_SEA * length_m * math.tanh(2 * math.pi * depth_m / length_m)
     if significant_wave_height_m > highest_m:
         raise ValueError(
-            f"Hm0 = {significant_wave_height_m:g} m is too high: seas with a peak period of "
+            f"a sea of Hm0 = {significant_wave_height_m:g} m is too high: seas with a peak period of "
             f"{peak_period_s:g} s in {depth_m:g} m of water break above {highest_m:.3f} m"
         )

@@ -75,5 +75,5 @@ def test_directions_are_spread_as_cos_2s(exponent: float) -> None:
 
 def test_a_sea_that_breaks_all_over_is_refused() -> None:
     check_sea(0.08, 0.9, 0.9)
-    with pytest.raises(ValueError, match=r"Hm0 = 0\.1 m is too high.*0\.9 s.*break above 0\.084 m"):
+    with pytest.raises(ValueError, match=r"sea of Hm0 = 0\.1 m is too high.*0\.9 s.*break above 0\.084 m"):
         check_sea(0.1, 0.9, 0.9)
