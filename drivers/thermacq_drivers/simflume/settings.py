@@ -65,6 +65,11 @@ class TextureSettings(Table):
         (0.003, 0.008, 0.024), min_length=1, description="correlation lengths across the flume"
     )
     streakiness: float = Field(2.5, ge=1, le=10, description="correlation along x over that across")
+    stirring_m: float = Field(0.0, ge=0, le=0.05, description="reach of the eddies that draw out filaments")
+    eddies_m: float = Field(0.02, ge=0.005, le=0.1, description="correlation length of the eddies")
+    warm_streaks: float = Field(
+        0.0, ge=0, le=1, description="skew towards few warm streaks; 0: as many cool ones"
+    )
     lifetime_s: float = Field(4.0, gt=0, description="time in which the pattern is replaced by a new one")
 
     @model_validator(mode="after")

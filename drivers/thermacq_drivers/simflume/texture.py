@@ -113,7 +113,7 @@ def grid_place(label_m: Floats) -> Floats:
 
 @lru_cache(maxsize=1)
 def _random_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
-    """The pattern, (4096, 4096) float32, kelvin; rows along x, columns along y."""
+    """The pattern twice along each axis, (4096, 4096) float32, kelvin; rows along x, columns along y."""
     field = _gaussian_field(settings, seed)
     if settings.stirring_m > 0:
         for part in (1.0, _SMALL_EDDIES):
@@ -124,7 +124,7 @@ def _random_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
         field = np.expm1(field)
         field -= field.mean()
     field *= settings.rms_k / max(float(field.std()), 1e-30)
-    return np.ascontiguousarray(field, np.float32)
+    return np.tile(field, (2, 2))
 
 
 def _stir(field: NDArray[np.float32], reach_m: float, eddies_m: float, seed: int) -> NDArray[np.float32]:
@@ -136,13 +136,17 @@ def _stir(field: NDArray[np.float32], reach_m: float, eddies_m: float, seed: int
     stream = fft.rfft2(noise) * np.exp(-0.25 * (along**2 + across**2) * eddies_m**2)
     down, right = fft.irfft2(1j * across * stream), fft.irfft2(-1j * along * stream)
     scale = reach_m / _SPACING_M / np.sqrt((down**2 + right**2).mean())
-    rows, columns = np.mgrid[:_SIZE, :_SIZE].astype(np.float32)
-    for place, shift in ((rows, down), (columns, right)):
-        size = (_SIZE + 2 * _MARGIN * _SIZE // _EDDY_GRID,) * 2
-        place += _wrapped(cv2.resize, (scale * shift).astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
-    stirred = cv2.remap(
-        field, _shifted(columns, 0), _shifted(rows, 0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
+    size = (_SIZE + 2 * _MARGIN * _SIZE // _EDDY_GRID,) * 2
+    here = np.arange(_SIZE, dtype=np.float32)
+    shifts = (
+        _wrapped(cv2.resize, (scale * shift).astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
+        for shift in (down, right)
     )
+    rows, columns = (
+        np.mod(start + shift, np.float32(_SIZE))
+        for start, shift in zip((here[:, None], here), shifts, strict=True)
+    )
+    stirred = cv2.remap(field, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     return np.asarray(stirred, np.float32)
 
 
@@ -156,7 +160,7 @@ def _wrapped(
 
 
 def _gaussian_field(settings: TextureSettings, seed: int) -> NDArray[np.float32]:
-    """Periodic Gaussian field, (4096, 4096) float32, of no particular strength.
+    """Periodic Gaussian field, (2048, 2048) float32, of no particular strength.
 
     Equal variance at each correlation length l: the covariance is the mean of exp(-(r/l)²/2).
     """
