@@ -9,14 +9,13 @@ import pytest
 
 from thermacq.errors import RigError
 from thermacq_drivers.simflume.composed import Ramped, Superposed
-from thermacq_drivers.simflume.dispersion import wavenumber
 from thermacq_drivers.simflume.mounting import Mounting, build_camera
 from thermacq_drivers.simflume.projection import PixelGrid, check_view, intersect
 from thermacq_drivers.simflume.ready_made import scene_toml
-from thermacq_drivers.simflume.regular_wave import solve_wave
 from thermacq_drivers.simflume.scene import build_surface
 from thermacq_drivers.simflume.settings import parse_scene
 from thermacq_drivers.simflume.surfaces import Surface
+from thermacq_drivers.simflume.validation_water import mean_period, record
 from thermacq_drivers.simflume.water_facts import surface_facts
 
 REGULAR = {"surface": {"kind": "regular", "case": "T0.791-H2/25"}}
@@ -44,23 +43,6 @@ SHIPPED = [
 
 def water(values: dict[str, Any]) -> Surface:
     return build_surface(parse_scene(values))
-
-
-def series(surface: Surface, x_m: float, time_s: np.ndarray) -> np.ndarray:
-    return surface.elevation(np.full(time_s.size, x_m), np.zeros(time_s.size), time_s)
-
-
-def reflection_by_three_probes(surface: Surface, period_s: float, wavenumber_rad_m: float) -> float:
-    """Mansard and Funke (1980): incident and reflected wave by least squares from three wave probes."""
-    time_s = np.arange(20 * 64) / 64 * period_s
-    places = np.array(
-        [2.0, 2.0 + 0.1 * 2 * np.pi / wavenumber_rad_m, 2.0 + 0.27 * 2 * np.pi / wavenumber_rad_m]
-    )
-    turn = np.exp(2j * np.pi * time_s / period_s)
-    first = [2 * (series(surface, float(x), time_s) * turn).mean() for x in places]
-    travelling = np.exp(1j * np.outer(places, [wavenumber_rad_m, -wavenumber_rad_m]))
-    incident, reflected = np.linalg.lstsq(travelling, np.array(first), rcond=None)[0]
-    return float(abs(reflected) / abs(incident))
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -93,55 +75,41 @@ def test_slope_and_label_are_those_of_the_elevation_and_the_velocity(name: str) 
     assert np.abs(later - before).max() / (2 * step) < (0.15 * speed if approximate else 1e-4)
 
 
-@pytest.mark.parametrize("coefficient", [0.05, 0.3])
-def test_three_probes_find_the_reflection(coefficient: float) -> None:
-    scene = {
-        "surface": {"kind": "regular", "period_s": 0.8, "steepness": 0.02},
-        "reflection": {"coefficient": coefficient, "absorber_x_m": 7.3},
-    }
-    wave = solve_wave(0.8, 0.02, 0.9)
-    assert reflection_by_three_probes(water(scene), 0.8, wave.wavenumber_rad_m) == pytest.approx(
-        coefficient, abs=1e-6
-    )
-    group = {
-        "surface": {"kind": "group", "shape": "bichromatic", "period_s": 0.8, "bandwidth": 0.1},
-        "reflection": {"coefficient": coefficient},
-    }
-    # Twenty periods of 0.8 s / 0.95 and 19 / 0.95 x 20 of the other wave: they do not mix.
-    period_s = 0.8 / 0.95
-    k = float(wavenumber(2 * np.pi / period_s, 0.9))
-    time_s = np.arange(0, 19 * period_s * 8, period_s / 32)
-    assert np.isfinite(series(water(group), 2.0, time_s)).all()
-    assert k < wave.wavenumber_rad_m
+def test_a_reflected_group_comes_back_from_the_absorber() -> None:
+    group = {"kind": "group", "period_s": 0.8, "bandwidth": 0.15, "focus_x_m": 0.0, "focus_time_s": 5.0}
+    scene = {"surface": group, "reflection": {"coefficient": 0.4, "absorber_x_m": 2.0}}
+    surface, incident = water(scene), water({"surface": group})
+    time_s = np.arange(0, 20, 0.02)
+    back = record(surface, 0.0, time_s) - record(incident, 0.0, time_s)
+    # There and back, 4 m, as the group alone would look 4 m farther on.
+    np.testing.assert_allclose(back, 0.4 * record(incident, 4.0, time_s), atol=1e-12)
 
 
 def test_the_seiche_is_the_first_mode_of_the_flume() -> None:
     surface = water({"seiche": {"amplitude_m": 0.002}})
     time_s = np.arange(0, 300, 0.05)
-    eta = series(surface, -8.0, time_s)
-    up = np.flatnonzero((eta[:-1] < 0) & (eta[1:] >= 0))
-    crossings = time_s[up] - eta[up] * 0.05 / (eta[up + 1] - eta[up])
+    eta = record(surface, -8.0, time_s)
     k = np.pi / 20
     period_s = 2 * np.pi / np.sqrt(9.81 * k * np.tanh(k * 0.9))
-    assert np.diff(crossings).mean() == pytest.approx(period_s, rel=1e-4)
+    assert mean_period(time_s, eta) == pytest.approx(period_s, rel=1e-4)
     # Merian's formula holds for water that is shallow against the flume's length.
     assert period_s == pytest.approx(2 * 20 / np.sqrt(9.81 * 0.9), rel=0.005)
     assert np.abs(eta).max() == pytest.approx(0.002, rel=1e-3)
-    np.testing.assert_allclose(series(surface, 12.0, time_s), -eta, atol=1e-12)
-    assert np.abs(series(surface, 2.0, time_s)).max() < 1e-12
+    np.testing.assert_allclose(record(surface, 12.0, time_s), -eta, atol=1e-12)
+    assert np.abs(record(surface, 2.0, time_s)).max() < 1e-12
 
 
 def test_waves_start_with_a_front_at_the_group_speed() -> None:
     surface = water({**REGULAR, "ramp": {"start_s": 2.0, "rise_s": 4.0}})
     full = water(REGULAR)
     time_s = np.arange(0, 40, 0.02)
-    here, there = series(surface, 0.0, time_s), series(surface, 1.0, time_s)
+    here, there = record(surface, 0.0, time_s), record(surface, 1.0, time_s)
     assert not here[time_s <= 2.0].any()
     speed = 0.5 * 9.81 * 0.791 / (2 * np.pi)
     assert not there[time_s <= 2.0 + 0.99 / speed].any()
-    np.testing.assert_array_equal(here[time_s > 6.0], series(full, 0.0, time_s)[time_s > 6.0])
+    np.testing.assert_array_equal(here[time_s > 6.0], record(full, 0.0, time_s)[time_s > 6.0])
     half = time_s[np.abs(time_s - 4.0) < 0.4]
-    assert np.abs(series(surface, 0.0, half)).max() == pytest.approx(full.highest_m / 2, rel=0.2)
+    assert np.abs(record(surface, 0.0, half)).max() == pytest.approx(full.highest_m / 2, rel=0.2)
 
 
 def test_what_floats_drifts_only_once_the_waves_are_there() -> None:
