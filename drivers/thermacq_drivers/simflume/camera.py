@@ -88,6 +88,23 @@ def in_condition(settings: CameraSettings, condition: CameraCondition) -> Camera
     return settings.model_copy(update=given)
 
 
+def make_sensor(settings: CameraSettings, scene: SceneSettings, name: str) -> Sensor:
+    """Sensor and lens of the camera of this name."""
+    lens = None
+    if settings.lens is not None:
+        lens = build_lens(settings.lens, settings, integrated=scene.view == "chessboard")
+    return Sensor(
+        settings.sensor,
+        settings.rows,
+        settings.columns,
+        scene.seed,
+        name,
+        lens=lens,
+        warm_up=settings.warm_up,
+        shutter=settings.shutter,
+    )
+
+
 class SimulatedCamera:
     """The camera behind ``driver = "sim-camera"``."""
 
@@ -152,7 +169,7 @@ class SimulatedCamera:
             raise self._fault(DeviceFault, "arm", what)
         settings = self._settings
         self._view = build_view(self._scene, settings, settings.bolometer.line_time_s)
-        self._sensor = self._make_sensor()
+        self._sensor = make_sensor(settings, self._scene, self._name)
         self._shutter = Shutter(settings.shutter, self._scene.seed, self._name)
         self._frame_rate_hz = frame_rate_hz
         self._held_since_s = None
@@ -162,22 +179,6 @@ class SimulatedCamera:
             self._loop.append((counts, self._expose(number / frame_rate_hz, number, counts)))
         self._last_good = -1
         self._exposures = self._make_exposures(mode, frame_rate_hz)
-
-    def _make_sensor(self) -> Sensor:
-        settings, scene = self._settings, self._scene
-        lens = None
-        if settings.lens is not None:
-            lens = build_lens(settings.lens, settings, integrated=scene.view == "chessboard")
-        return Sensor(
-            settings.sensor,
-            settings.rows,
-            settings.columns,
-            scene.seed,
-            self._name,
-            lens=lens,
-            warm_up=settings.warm_up,
-            shutter=settings.shutter,
-        )
 
     def _make_exposures(self, mode: TriggerMode, frame_rate_hz: float) -> ExposureSource:
         settings = self._settings

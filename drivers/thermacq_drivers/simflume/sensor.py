@@ -112,6 +112,16 @@ class Sensor:
         self._curvature = (per_k * curvature).astype(np.float32) if curvature.any() else None
         self._base = (settings.middle_count + per_k * offset).astype(np.float32)
 
+    @property
+    def gain(self) -> NDArray[np.float32]:
+        """Responsivity of each pixel, counts per kelvin."""
+        return self._gain
+
+    @property
+    def offset(self) -> NDArray[np.float32]:
+        """Count of each pixel at the reference temperature, without drift and shutter correction."""
+        return self._base
+
     def expose(
         self,
         temperature_k: NDArray[np.float32],

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from thermacq.devices import FrameFlag
 from thermacq.errors import StoreError, ThermacqError
 from thermacq.timing import NS_PER_S
 from thermacq_drivers.simflume import truth
+from thermacq_drivers.simflume.camera import CameraSettings, in_condition
+from thermacq_drivers.simflume.camera_truth import Exposures, append_camera_truth
 from thermacq_drivers.simflume.correspondence import correspondence
 from thermacq_drivers.simflume.optics import PinholeCamera
 from thermacq_drivers.simflume.scene import WaterView, build_surface
@@ -22,7 +25,6 @@ from thermacq_drivers.simflume.water_facts import surface_facts
 
 if TYPE_CHECKING:
     from thermacq.store import FrameTable, RunFile
-    from thermacq_drivers.simflume.camera import CameraSettings
 
 _BLOCK_FRAMES = 64
 
@@ -59,14 +61,16 @@ def write_truth(
         raise StoreError(f"'{output}' exists", remedy="Choose another name, or remove it first.")
     with open_run(run_path) as run:
         rig = run.header.rig
-        cameras = truth.simulated_cameras(rig)
+        scene = parse_scene(rig.get("scene", {}))
+        cameras = {
+            name: in_condition(camera, scene.camera) for name, camera in truth.simulated_cameras(rig).items()
+        }
         if {camera.side for camera in cameras.values()} != {"left", "right"}:
             raise ThermacqError(
                 f"'{run_path}' was not recorded with a left and a right camera of the simulated flume",
                 remedy="Truth exists only for runs whose cameras have the driver 'sim-camera'.",
             )
-        scene = parse_scene(rig.get("scene", {}))
-        if scene.view != "water":
+        if scene.view != "water" and dense_frames:
             raise ThermacqError(f"'{run_path}' shows the {scene.view}, not the water")
         name = next(name for name, camera in cameras.items() if camera.side == "left")
         frames = run.frames(name)
@@ -77,15 +81,18 @@ def write_truth(
         surface = build_surface(scene)
         left, right = truth.stereo_pair(cameras)
         facts = {
-            "surface": surface_facts(surface),
+            "surface": surface_facts(surface) if scene.view == "water" else {"kind": scene.view},
             "calibration": truth.calibration_facts(left, right),
             "clocks": truth.clock_facts(rig),
         }
         attributes = _attributes(run, name, facts)
+        exposures = {each: _exposures(run.frames(each), cameras[each], rig) for each in cameras}
         recording_s = (frames.host_ns - run.header.host_anchor_ns) / NS_PER_S
-    x_m, y_m = common_view(left, right, spacing_m)
-    _write(output, attributes, surface, (time_s, recording_s, x_m, y_m))
-    _append_dense(output, scene, left, right, time_s, dense_frames)
+    grid = common_view(left, right, spacing_m) if scene.view == "water" else None
+    _write(output, attributes, surface, (time_s, recording_s), grid)
+    append_camera_truth(output, scene, cameras, exposures)
+    lines_s = {camera.side: camera.bolometer.line_time_s for camera in cameras.values()}
+    _append_dense(output, scene, (left, right), (lines_s["left"], lines_s["right"]), time_s, dense_frames)
     return facts
 
 
@@ -95,6 +102,17 @@ def exposure_times(frames: FrameTable, camera: CameraSettings, frame_rate_hz: fl
         number = frames.sequence_number - camera.counter_start
         return (number % camera.cached_loop_frames) / frame_rate_hz
     return np.asarray(camera.clock.scene_s(frames.ticks / camera.clock.tick_rate_hz), np.float64)
+
+
+def _exposures(frames: FrameTable, camera: CameraSettings, rig: dict[str, Any]) -> Exposures:
+    number = frames.sequence_number - camera.counter_start
+    if camera.cached_loop_frames:
+        index = number % camera.cached_loop_frames
+    else:
+        index = np.where(frames.trigger_index >= 0, frames.trigger_index, number)
+    time_s = exposure_times(frames, camera, rig["trigger"]["frame_rate_hz"])
+    frozen = (frames.flags & int(FrameFlag.SHUTTER)) != 0
+    return Exposures(index, np.where(frozen, np.nan, time_s))
 
 
 def common_view(left: PinholeCamera, right: PinholeCamera, spacing_m: float) -> tuple[Floats, Floats]:
@@ -125,33 +143,44 @@ def _attributes(run: RunFile, camera: str, facts: dict[str, Any]) -> dict[str, s
 
 
 def _write(
-    output: Path, attributes: dict[str, str], surface: Surface, axes: tuple[Floats, Floats, Floats, Floats]
+    output: Path,
+    attributes: dict[str, str],
+    surface: Surface,
+    times: tuple[Floats, Floats],
+    grid: tuple[Floats, Floats] | None,
 ) -> None:
+    """Make the file; elevation only on a grid, that is where water is in view."""
     import h5netcdf
 
-    time_s, recording_s, x_m, y_m = axes
-    described = (
+    time_s, recording_s = times
+    described = [
         ("time", "time", time_s, "s", "time of the scene at the exposure"),
         ("recording_time", "time", recording_s, "s", "time of the recording when the frame arrived"),
-        ("x", "x", x_m, "m", "along the flume"),
-        ("y", "y", y_m, "m", "across the flume"),
-    )
+    ]
+    if grid is not None:
+        described.append(("x", "x", grid[0], "m", "along the flume"))
+        described.append(("y", "y", grid[1], "m", "across the flume"))
     try:
         with h5netcdf.File(output, "w") as file:
             file.attrs.update(attributes)
-            file.dimensions = {"time": len(time_s), "y": len(y_m), "x": len(x_m)}
             for name, dimension, values, unit, meaning in described:
+                if dimension not in file.dimensions:
+                    file.dimensions[dimension] = len(values)
                 variable = file.create_variable(name, (dimension,), data=values)
                 variable.attrs.update({"units": unit, "long_name": meaning})
-            eta = file.create_variable(
-                "eta", ("time", "y", "x"), np.float64, chunks=(1, len(y_m), len(x_m)), compression="gzip"
-            )
-            eta.attrs.update({"units": "m", "long_name": "true elevation above still water"})
-            for start in range(0, len(time_s), _BLOCK_FRAMES):
-                block = slice(start, start + _BLOCK_FRAMES)
-                eta[block] = truth.elevation_on_grid(surface, time_s[block], x_m, y_m)
+            if grid is not None:
+                _write_elevation(file, surface, time_s, *grid)
     except OSError as error:
         raise StoreError(f"'{output}' cannot be written: {error}") from None
+
+
+def _write_elevation(file: Any, surface: Surface, time_s: Floats, x_m: Floats, y_m: Floats) -> None:
+    chunks = (1, len(y_m), len(x_m))
+    eta = file.create_variable("eta", ("time", "y", "x"), np.float64, chunks=chunks, compression="gzip")
+    eta.attrs.update({"units": "m", "long_name": "true elevation above still water"})
+    for start in range(0, len(time_s), _BLOCK_FRAMES):
+        block = slice(start, start + _BLOCK_FRAMES)
+        eta[block] = truth.elevation_on_grid(surface, time_s[block], x_m, y_m)
 
 
 _DENSE = {
@@ -168,8 +197,8 @@ _DENSE = {
 def _append_dense(
     output: Path,
     scene: SceneSettings,
-    left: PinholeCamera,
-    right: PinholeCamera,
+    cameras: tuple[PinholeCamera, PinholeCamera],
+    line_times_s: tuple[float, float],
     time_s: Floats,
     dense_frames: Sequence[int],
 ) -> None:
@@ -179,12 +208,15 @@ def _append_dense(
     if not dense_frames:
         return
     surface = build_surface(scene)
+    left, right = cameras
     with h5netcdf.File(output, "a") as file:
         file.dimensions["dense_frame"] = len(dense_frames)
         file.dimensions["row"], file.dimensions["column"] = left.rows, left.columns
         file.create_variable("dense_frame", ("dense_frame",), data=np.array(dense_frames))
-        for side, camera, other in (("left", left, right), ("right", right, left)):
-            sight, view = build_sight(scene, surface, camera), WaterView(scene, camera)
+        sides = ("left", left, right, line_times_s[0]), ("right", right, left, line_times_s[1])
+        for side, camera, other, line_time_s in sides:
+            sight = build_sight(scene, surface, camera, line_time_s)
+            view = WaterView(scene, camera, line_time_s)
             moments = [float(time_s[frame]) for frame in dense_frames]
             for place, moment in enumerate(moments):
                 found = correspondence(sight, other, moment)

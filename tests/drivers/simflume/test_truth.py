@@ -15,7 +15,7 @@ from thermacq.errors import RigError, StoreError, ThermacqError
 from thermacq.hooks import TruthRequest
 from thermacq.plugins import plugins
 from thermacq.rig import parse_rig
-from thermacq.store import CameraStream, FrameRow, RunHeader, RunWriter
+from thermacq.store import CameraStream, FrameRow, RunHeader, RunWriter, open_run
 from thermacq.timing import VirtualClock
 from thermacq_drivers.simflume.camera import SimulatedCamera
 from thermacq_drivers.simflume.cases import TABLE_II
@@ -59,7 +59,9 @@ def record(tmp_path: Path, small: dict[str, Any], host: Any) -> Callable[..., Pa
             clock.wait_until_ns(index * 20_000_000)
             camera.trigger(index)
             frame = next(stream)
-            row = FrameRow(frame.counter, frame.ticks, frame.host_ns, index, index * 20_000_000)
+            row = FrameRow(
+                frame.counter, frame.ticks, frame.host_ns, index, index * 20_000_000, int(frame.flags)
+            )
             writer.append_frame("left", frame.counts, row)
         writer.finish({}, "completed")
         return tmp_path / "run.h5"
@@ -150,10 +152,41 @@ def test_truth_that_cannot_be_written_is_explained(
         write_truth(tmp_path / "none.h5", tmp_path / "a.nc", 0.01, [])
 
 
-def test_a_run_without_water_has_no_truth(record: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_run_without_water_has_no_dense_truth(record: Callable[..., Path], tmp_path: Path) -> None:
     run = record({"view": "chessboard"})
     with pytest.raises(ThermacqError, match="not the water"):
-        write_truth(run, tmp_path / "a.nc", 0.01, [])
+        write_truth(run, tmp_path / "a.nc", 0.01, [0])
+
+
+def test_bad_pixels_are_told_by_reason(record: Callable[..., Path], tmp_path: Path) -> None:
+    raw = {"sensor": {"bad_pixels": "raw", "bad_pixel_fraction": 0.01, "offset_k": 1.0}}
+    scene = {"view": "uniform", "uniform": {"temperatures_k": [295.0]}, "camera": raw}
+    run = record(scene)
+    write_truth(run, tmp_path / "truth.nc", 0.05, [])
+    truth = xr.load_dataset(tmp_path / "truth.nc", engine="h5netcdf")
+    bad = truth.left_bad_pixels
+    assert bad.attrs["flag_meanings"] == "dead hot noisy blinking outlier"
+    assert (bad.to_numpy() > 0).mean() == pytest.approx(0.01, rel=0.25)
+    assert (truth.right_bad_pixels.to_numpy() != bad.to_numpy()).any()
+    with open_run(run) as file:
+        counts = file.counts("left", 0)
+    assert (counts[bad.to_numpy() == 2] == 2**14 - 1).all()
+    # The offsets are those of the picture, up to noise.
+    good = bad.to_numpy() == 0
+    assert (counts - truth.left_offset.to_numpy())[good].std() < 8
+    assert "eta" not in truth
+
+
+def test_corners_of_each_frame(record: Callable[..., Path], tmp_path: Path) -> None:
+    scene = {"view": "chessboard", "chessboard": {"frames_per_view": 2}}
+    run = record(scene, shutter={"at_s": [0.05], "closed_s": 0.5})
+    write_truth(run, tmp_path / "truth.nc", 0.05, [])
+    truth = xr.load_dataset(tmp_path / "truth.nc", engine="h5netcdf")
+    corners = truth.left_corners.to_numpy()
+    assert corners.shape == (4, 54, 2)
+    np.testing.assert_array_equal(corners[0], corners[1])
+    assert np.abs(corners[2] - corners[0]).max() > 5
+    assert np.isnan(corners[3]).all()  # frozen by the shutter
 
 
 def test_examples_are_what_the_commands_print() -> None:
