@@ -42,7 +42,7 @@ class CylinderSettings(Table):
     y_m: float = -0.03
     radius_m: float = Field(0.06, gt=0.002)
     top_m: float = Field(0.3, gt=0, description="height of its top above still water")
-    temperature_k: float = Field(294.0, gt=200, lt=400)
+    temperature_k: float = Field(294.5, gt=200, lt=400)
     paint_emissivity: float = Field(0.95, gt=0, le=1)
     strips: int = Field(60, ge=0, le=1000, description="strips of foil, pasted at random")
     strip_size_m: tuple[float, float] = Field((0.006, 0.04), description="mean width and length")

@@ -268,7 +268,7 @@ def build_sight(
         return Sight(surface, camera, line_time_s=line_time_s)
     surroundings = settings.surroundings or SurroundingsSettings()
     picture = cylinder_picture(
-        cylinder, surroundings, camera, RING_M, settings.water_temperature_k, settings.seed
+        cylinder, surroundings, settings.lamps, camera, RING_M, settings.water_temperature_k, settings.seed
     )
     return Sight(surface, camera, cylinder, picture, line_time_s)
 

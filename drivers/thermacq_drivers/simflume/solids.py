@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq_drivers.simflume.heat_settings import CylinderSettings, SurroundingsSettings
+from thermacq_drivers.simflume.heat_settings import CylinderSettings, LampSettings, SurroundingsSettings
 from thermacq_drivers.simflume.optics import PinholeCamera
 from thermacq_drivers.simflume.radiance import apparent_rise
 from thermacq_drivers.simflume.seeds import generator
@@ -111,6 +111,7 @@ class CylinderPicture:
 def cylinder_picture(
     cylinder: CylinderSettings,
     surroundings: SurroundingsSettings,
+    lamps: LampSettings | None,
     camera: PinholeCamera,
     margin_m: float,
     water_k: float,
@@ -120,7 +121,7 @@ def cylinder_picture(
 
     Parameters
     ----------
-    cylinder, surroundings
+    cylinder, surroundings, lamps
         The cylinder, and what its foil reflects.
     camera
         The camera.
@@ -135,7 +136,7 @@ def cylinder_picture(
     if part is None:
         return None
     rows, columns = part
-    wall_k, top_k = _coat(cylinder, surroundings, water_k, seed)
+    wall_k, top_k = _coat(cylinder, surroundings, lamps, water_k, seed)
     offsets = (np.arange(_SUBPIXELS) + 0.5) / _SUBPIXELS - 0.5
     grid = np.stack(np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop)), -1)
     shape = grid.shape[:2]
@@ -184,29 +185,51 @@ def _part(cylinder: CylinderSettings, camera: PinholeCamera, margin_m: float) ->
 
 
 def _coat(
-    cylinder: CylinderSettings, surroundings: SurroundingsSettings, water_k: float, seed: int
+    cylinder: CylinderSettings,
+    surroundings: SurroundingsSettings,
+    lamps: LampSettings | None,
+    water_k: float,
+    seed: int,
 ) -> tuple[NDArray[np.float32], float]:
     """Apparent temperature of the coat in kelvin above the water's: (height, circumference) wall, and top.
 
-    What the wall reflects is half water, half surroundings, as for a rough vertical wall. A strip of
-    foil is crinkled in its own way: each reflects its own part of water, between 0.2 and 0.8.
+    What the wall reflects is half water, half surroundings, as for a rough vertical wall. A strip of foil is
+    crinkled in its own way: each reflects its own part of surroundings, between 0.2 and 0.8, and those that
+    face the lamps their own part of them, up to twice the part that they have of the sky.
     """
-    own_k, ambient_k = apparent_rise([cylinder.temperature_k, surroundings.ambient_k], water_k)
+    own_k, ambient_k = (
+        float(rise) for rise in apparent_rise([cylinder.temperature_k, surroundings.ambient_k], water_k)
+    )
     paint = cylinder.paint_emissivity
     painted = paint * own_k + (1 - paint) * 0.5 * ambient_k
-    circumference = 2 * math.pi * cylinder.radius_m
+    circumference_m = 2 * math.pi * cylinder.radius_m
     size = (
         max(8, round((cylinder.top_m - _LOWEST_M) / _COAT_SPACING_M)),
-        max(8, round(circumference / _COAT_SPACING_M)),
+        max(8, round(circumference_m / _COAT_SPACING_M)),
     )
     wall: NDArray[np.float32] = np.full(size, painted, np.float32)
     random = generator(seed, "foil")
     for _ in range(cylinder.strips):
-        emissivity = random.uniform(*cylinder.foil_emissivity)
-        sky = 1 - random.uniform(0.2, 0.8)
-        value = emissivity * own_k + (1 - emissivity) * sky * ambient_k
-        _paste(wall, _strip(cylinder, random) / _COAT_SPACING_M, float(value))
-    return wall, float(painted)
+        emissivity, sky, glint = random.uniform(
+            (cylinder.foil_emissivity[0], 0.2, 0.0), (cylinder.foil_emissivity[1], 0.8, 2.0)
+        )
+        corners = _strip(cylinder, random)
+        reflected_k = sky * ambient_k + glint * _lamp_light(cylinder, lamps, corners, water_k)
+        value = emissivity * own_k + (1 - emissivity) * reflected_k
+        _paste(wall, corners / _COAT_SPACING_M, value)
+    return wall, painted
+
+
+def _lamp_light(
+    cylinder: CylinderSettings, lamps: LampSettings | None, corners_m: Floats, water_k: float
+) -> float:
+    """Apparent rise due to the part of the sky that the tubes take up, for a strip that may face them; kelvin."""
+    if lamps is None:
+        return 0.0
+    away_m = np.array([cylinder.x_m - lamps.x_m, lamps.height_m])
+    part = len(lamps.y_m) * lamps.length_m * lamps.width_m / (2 * math.pi * float(away_m @ away_m))
+    facing = -math.cos(corners_m[:, 0].mean() / cylinder.radius_m) * math.copysign(1.0, away_m[0])
+    return part * max(facing, 0.0) * float(apparent_rise(lamps.tube_k, water_k))
 
 
 def _strip(cylinder: CylinderSettings, random: np.random.Generator) -> Floats:
