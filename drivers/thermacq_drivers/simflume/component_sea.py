@@ -203,6 +203,8 @@ class ComponentSea:
             return self._at_time(name, x, y, float(time_s))
         x, y, time = np.broadcast_arrays(*(np.asarray(value, np.float64) for value in (x_m, y_m, time_s)))
         nodes = nodes_in_time(time, self.components.amplitude_m, self.components.omega_rad_s)
+        if nodes is None and len(np.unique(time)) * _FEW_POINTS > time.size:
+            return self._direct(name, x, y, time)
         if nodes is None:
             return one_by_one(lambda *at: self._at_time(name, *at), x, y, time)
         return interpolate_in_time(lambda moment: self._at_time(name, x, y, moment), nodes, time)
@@ -214,7 +216,7 @@ class ComponentSea:
         box = self._box(x_m, y_m)
         nodes = math.prod(stop - start for start, stop in box)
         if x_m.size < _FEW_POINTS or nodes > min(_MOST_NODES, 16 * x_m.size):
-            return self._direct(name, x_m, y_m, time_s)
+            return self._direct(name, x_m, y_m, np.full(x_m.shape, time_s))
         table = self._table(name, box, time_s)
         axes = (x_m,) if self._long_crested else (x_m, y_m)
         places = [axis / self._spacing_m - start for axis, (start, _) in zip(axes, box, strict=True)]
@@ -237,16 +239,17 @@ class ComponentSea:
         factors: Complexes = self._weights[name] * np.exp(-1j * turns)
         return factors
 
-    def _direct(self, name: str, x_m: Floats, y_m: Floats, time_s: float) -> Floats:
-        factors = self._factors(name, time_s)
-        x, y = x_m.ravel(), y_m.ravel()
+    def _direct(self, name: str, x_m: Floats, y_m: Floats, time_s: Floats) -> Floats:
+        """The sum as it stands, at points and times of one shape."""
+        waves, weights = self.components, self._weights[name][:, None]
+        x, y, time = x_m.ravel(), y_m.ravel(), time_s.ravel()
         values = np.empty(x.size)
-        step = max(1, _MOST_NODES // factors.size)
+        step = max(1, _MOST_NODES // len(weights))
         for start in range(0, x.size, step):
             part = slice(start, start + step)
-            phase = np.outer(x[part], self.components.along_rad_m)
-            phase += np.outer(y[part], self.components.across_rad_m)
-            values[part] = _real_product(np.exp(1j * phase), factors[:, None])[:, 0]
+            phase = waves.phase_rad - np.outer(time[part], waves.omega_rad_s)
+            phase += np.outer(x[part], waves.along_rad_m) + np.outer(y[part], waves.across_rad_m)
+            values[part] = _real_product(np.exp(1j * phase), weights)[:, 0]
         return values.reshape(x_m.shape)
 
     def _table(self, name: str, box: tuple[tuple[int, int], ...], time_s: float) -> Floats:

@@ -99,7 +99,7 @@ def energy_checks() -> list[Check]:
     checks = []
     for spectrum in ("jonswap", "pierson-moskowitz", "white"):
         surface = build_water(parse_scene({"surface": {"kind": "irregular", "spectrum": spectrum}}))
-        eta = record(surface, 0.25, np.arange(0, _RECORD_S, 0.1))
+        eta = record(surface, 0.25, np.arange(0, _RECORD_S, 0.2))
         checks.append(Check(f"Hm0 of a {spectrum} sea", "m", 0.04, 4 * float(eta.std()), 0.0004))
     return checks
 

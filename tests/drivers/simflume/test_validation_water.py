@@ -7,6 +7,7 @@ from thermacq_drivers.simflume import validation_water
 from thermacq_drivers.simflume.validation_water import Check, failed, mean_period, water_checks
 
 
+@pytest.mark.slow
 def test_the_water_is_what_formulas_and_the_paper_say() -> None:
     checks = water_checks()
     assert failed(checks) == []
