@@ -3,6 +3,9 @@
 Layers, each knowing only those above it:
 
 - `surfaces`, `regular_wave`, `cases`: the water (elevation, slope, drift, material label);
+- `component_sea` with `dispersion`, `spectra`, `wave_group`: seas as sums of linear waves;
+- `diffraction`, `cylinder_table`, `cylinder`: waves around a cylinder; `composed`: several waters in one;
+- `water`, `water_settings`, `water_facts`: the water of a scene, in settings and in numbers;
 - `optics`, `projection`: pinhole cameras, and their rays cut with the water;
 - `texture`, `chessboard`, `sensor`: what there is to see, and how a microbolometer sees it;
 - `scene`: settings of the scene put together into something that a camera can look at;
