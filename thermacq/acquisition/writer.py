@@ -35,6 +35,7 @@ from thermacq.store import Compression, Event, EventKind, FrameRow, RunWriter, e
 
 COMPRESSION_THREADS = 2
 _IN_FLIGHT = 8
+_MAIL_S = 0.005
 _IDLE_POLL_S = 0.005
 _DISK_CHECK_S = 0.1
 _LATE_WRITE_S = 0.5
@@ -122,6 +123,7 @@ class Drain:
         self._submitted = dict.fromkeys(self._rings, 0)
         self._events: Counter[str] = Counter()
         self._flushed_s = self._disk_checked_s = time.monotonic()
+        self._mail_read_s = self._flushed_s
         self._reserve_told = False
         self._slowest = {"write_s": 0.0, "flush_s": 0.0}
 
@@ -131,7 +133,11 @@ class Drain:
             # Asked before looking into the rings: what an ended device left there is then seen.
             all_ended = not self._mail
             busy = self._submit() | self._write_oldest()
-            self._read_mail(0.0 if busy else _IDLE_POLL_S)
+            now = time.monotonic()
+            # Looking into the mail costs as much as writing a frame.
+            if not busy or now - self._mail_read_s > _MAIL_S:
+                self._mail_read_s = now
+                self._read_mail(0.0 if busy else _IDLE_POLL_S)
             self._keep_house()
             if all_ended and not busy and not self._in_flight:
                 return
