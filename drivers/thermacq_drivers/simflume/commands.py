@@ -14,11 +14,15 @@ app = typer.Typer(
 
 
 @app.command()
-def rig() -> None:
+def rig(
+    two_pairs: Annotated[
+        bool, typer.Option("--two-pairs", help="Two pairs of cameras around a cylinder.")
+    ] = False,
+) -> None:
     """Print a rig file: two simulated cameras, a wave probe, virtual time."""
     from thermacq_drivers.simflume.ready_made import rig_toml
 
-    sys.stdout.write(rig_toml())
+    sys.stdout.write(rig_toml(two_pairs))
 
 
 @app.command()
@@ -95,13 +99,16 @@ def truth(
             "--dense", help="Also depth and correspondence of each pixel of this frame; repeatable."
         ),
     ] = None,
+    pair: Annotated[
+        str | None, typer.Option("--pair", help="Pair of cameras, where the rig has several; else the first.")
+    ] = None,
 ) -> None:
     """Write what the simulation knows about a run: elevation, dense disparity, calibration, clocks."""
     from rich.console import Console
 
     from thermacq_drivers.simflume.truth_file import write_truth
 
-    facts = write_truth(run, output, spacing_m, dense or [])
+    facts = write_truth(run, output, spacing_m, dense or [], pair)
     Console(stderr=True, highlight=False, soft_wrap=True).print(
         f"wrote {output}: surface {facts['surface']['kind']}"
     )

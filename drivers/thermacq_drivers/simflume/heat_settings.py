@@ -42,10 +42,10 @@ class CylinderSettings(Table):
     y_m: float = -0.03
     radius_m: float = Field(0.06, gt=0.002)
     top_m: float = Field(0.3, gt=0, description="height of its top above still water")
-    temperature_k: float = Field(294.5, gt=200, lt=400)
+    temperature_k: float = Field(295.0, gt=200, lt=400)
     paint_emissivity: float = Field(0.95, gt=0, le=1)
-    strips: int = Field(60, ge=0, le=1000, description="strips of foil, pasted at random")
-    strip_size_m: tuple[float, float] = Field((0.006, 0.04), description="mean width and length")
+    strips: int = Field(120, ge=0, le=1000, description="strips of foil, pasted at random")
+    strip_size_m: tuple[float, float] = Field((0.007, 0.045), description="mean width and length")
     foil_emissivity: tuple[float, float] = Field((0.05, 0.20), description="each strip's, between these")
     meniscus_m: float = Field(0.001, ge=0, le=0.004, description="rise of the water at the wall")
 

@@ -1,8 +1,8 @@
 """Where the simulated cameras stand, and what their lenses are like: the paper's arrangement by default.
 
 Table I: 640 x 512 pixels of 17 µm behind a lens of 12 mm (f = 705.9 px). Two cameras 6 cm apart, 0.6 m
-above the water, tilted 22.8° towards +X. No two cameras are alike: each side has its own principal point,
-focal length, distortion, and the right one is slightly misaligned.
+above the water, tilted 22.8° towards +X. A second pair may look the other way. No two cameras are alike:
+each side has its own principal point, focal length, distortion, and the right one is slightly misaligned.
 """
 
 from __future__ import annotations
@@ -30,13 +30,15 @@ class Mounting(Table):
     """Geometry of one simulated camera; `None` takes the value of its side."""
 
     side: Side = "left"
+    pair: str = Field("", pattern=r"^[\w-]*$", description="name of its stereo pair, where there are several")
     rows: int = Field(512, ge=16, le=4096)
     columns: int = Field(640, ge=16, le=4096)
     pixel_pitch_um: float = Field(17.0, gt=0)
     focal_length_mm: float = Field(12.0, gt=0)
     baseline_m: float = Field(0.06, gt=0, lt=2, description="from the left camera to the right one")
     height_m: float = Field(0.6, gt=0, description="of the left camera above still water")
-    tilt_deg: float = Field(22.8, ge=0, lt=90)
+    tilt_deg: float = Field(22.8, ge=0, lt=90, description="of the optical axis from the vertical")
+    azimuth_deg: float = Field(0.0, ge=-180, le=180, description="direction of the tilt, from +X towards +Y")
     x_m: float = Field(0.0, description="of the left camera")
     y_m: float = Field(0.0, description="of the left camera")
     misalignment_deg: Triple | None = Field(None, description="rotation vector in camera axes")
@@ -87,7 +89,7 @@ def _place(
     misalignment: np.ndarray,
     displacement_m: np.ndarray,
 ) -> PinholeCamera:
-    axes = looking_down(mounting.tilt_deg)
+    axes = looking_down(mounting.tilt_deg, mounting.azimuth_deg)
     across_m = mounting.baseline_m if mounting.side == "right" else 0.0
     centre = np.array([mounting.x_m, mounting.y_m, mounting.height_m])
     centre += axes.T @ (np.array([across_m, 0.0, 0.0]) + displacement_m)

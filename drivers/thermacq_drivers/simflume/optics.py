@@ -114,13 +114,16 @@ def rotation_vector(angles_deg: tuple[float, float, float]) -> Floats:
     return matrix
 
 
-def looking_down(tilt_deg: float) -> Floats:
+def looking_down(tilt_deg: float, azimuth_deg: float = 0.0) -> Floats:
     """Axes of a camera that looks down, tilted towards +X; picture right is -Y, picture up is +X.
 
+    `azimuth_deg` turns it about the vertical, from +X towards +Y: at 180 degrees it is tilted towards -X.
     Rows of the (3, 3) result are the camera's x, y and z axes in flume coordinates.
     """
     sine, cosine = math.sin(math.radians(tilt_deg)), math.cos(math.radians(tilt_deg))
-    return np.array([[0.0, -1.0, 0.0], [-cosine, 0.0, -sine], [sine, 0.0, -cosine]])
+    axes = np.array([[0.0, -1.0, 0.0], [-cosine, 0.0, -sine], [sine, 0.0, -cosine]])
+    turned: Floats = axes @ rotation_vector((0.0, 0.0, azimuth_deg)).T if azimuth_deg else axes
+    return turned
 
 
 def stereo_pose(left: PinholeCamera, right: PinholeCamera) -> tuple[Floats, Floats]:

@@ -20,9 +20,10 @@ case = "{name}"
 """
 
 
-def rig_toml() -> str:
-    """The paper's rig, simulated."""
-    return resources.files("thermacq_drivers.simflume").joinpath("rig.toml").read_text(encoding="utf-8")
+def rig_toml(two_pairs: bool = False) -> str:
+    """The paper's rig, simulated; or with two pairs of cameras around a cylinder."""
+    name = "two_pairs.toml" if two_pairs else "rig.toml"
+    return resources.files("thermacq_drivers.simflume").joinpath(name).read_text(encoding="utf-8")
 
 
 def scene_summaries() -> dict[str, str]:

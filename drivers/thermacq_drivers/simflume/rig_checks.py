@@ -23,10 +23,21 @@ def _check_cameras(rig: Rig) -> Iterator[RigFinding]:
         for name, table in rig.cameras.items()
         if table.driver == "sim-camera"
     }
-    sides = [camera.side for camera in cameras.values()]
-    if len(sides) == 2 and sides[0] == sides[1]:
-        message = f"both simulated cameras are on the {sides[0]} side: give one `side = ...` in its settings"
-        yield RigFinding("error", message)
+    for pair in sorted({camera.pair for camera in cameras.values()}):
+        sides = [camera.side for camera in cameras.values() if camera.pair == pair]
+        named = f" of pair '{pair}'" if pair else ""
+        if len(sides) == 2 and sides[0] == sides[1]:
+            message = (
+                f"both simulated cameras{named} are on the {sides[0]} side: "
+                "give one `side = ...` in its settings"
+            )
+            yield RigFinding("error", message)
+        if len(sides) > 2:
+            message = (
+                f"there are {len(sides)} simulated cameras{named}: "
+                "name pairs of two by `pair = ...` in their settings"
+            )
+            yield RigFinding("error", message)
     line = _pulsed_line(rig)
     for name, camera in cameras.items():
         if line and camera.line != line:

@@ -41,9 +41,11 @@ def truth(request: TruthRequest) -> Truth | None:
     facts: dict[str, Any] = {"surface": surface_facts(surface)}
     cameras = simulated_cameras(request.rig)
     facts["clocks"] = clock_facts(request.rig)
-    if {camera.side for camera in cameras.values()} == {"left", "right"}:
-        left, right = stereo_pair(cameras)
-        facts["calibration"] = calibration_facts(left, right)
+    pairs = {pair: calibration_facts(*stereo_pair(of_pair(cameras, pair))) for pair in pair_names(cameras)}
+    if pairs:
+        facts["calibration"] = next(iter(pairs.values()))
+    if len(pairs) > 1:
+        facts["pairs"] = pairs
     return Truth(elevation_on_grid(surface, request.time_s, request.x_m, request.y_m), facts)
 
 
@@ -59,6 +61,18 @@ def simulated_cameras(rig: Settings) -> dict[str, CameraSettings]:
         for name, table in rig.get("cameras", {}).items()
         if table.get("driver") == "sim-camera"
     }
+
+
+def pair_names(cameras: Mapping[str, CameraSettings]) -> list[str]:
+    """Names of the pairs that have a left and a right camera, in the order of the rig."""
+    names = dict.fromkeys(camera.pair for camera in cameras.values())
+    both = {"left", "right"}
+    return [name for name in names if {camera.side for camera in of_pair(cameras, name).values()} == both]
+
+
+def of_pair(cameras: Mapping[str, CameraSettings], pair: str) -> dict[str, CameraSettings]:
+    """The cameras of one pair."""
+    return {name: camera for name, camera in cameras.items() if camera.pair == pair}
 
 
 def stereo_pair(cameras: Mapping[str, CameraSettings]) -> tuple[PinholeCamera, PinholeCamera]:

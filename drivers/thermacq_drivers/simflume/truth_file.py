@@ -30,7 +30,7 @@ _BLOCK_FRAMES = 64
 
 
 def write_truth(
-    run_path: Path, output: Path, spacing_m: float, dense_frames: Sequence[int]
+    run_path: Path, output: Path, spacing_m: float, dense_frames: Sequence[int], pair: str | None = None
 ) -> dict[str, Any]:
     """Write elevation at every exposure of the left camera, and dense truth for some frames.
 
@@ -43,7 +43,9 @@ def write_truth(
     spacing_m
         Spacing of the elevation grid, which covers what both cameras see of the still water.
     dense_frames
-        Frames of the left camera for which depth and correspondence of every pixel are written, for either camera.
+        Frames of the left camera for which depth and correspondence of every pixel of either camera are written.
+    pair
+        Name of the pair of cameras, where the rig has several; None: the first.
 
     Returns
     -------
@@ -65,11 +67,7 @@ def write_truth(
         cameras = {
             name: in_condition(camera, scene.camera) for name, camera in truth.simulated_cameras(rig).items()
         }
-        if {camera.side for camera in cameras.values()} != {"left", "right"}:
-            raise ThermacqError(
-                f"'{run_path}' was not recorded with a left and a right camera of the simulated flume",
-                remedy="Truth exists only for runs whose cameras have the driver 'sim-camera'.",
-            )
+        cameras = _chosen_pair(run_path, cameras, pair)
         if scene.view != "water" and dense_frames:
             raise ThermacqError(f"'{run_path}' shows the {scene.view}, not the water")
         name = next(name for name, camera in cameras.items() if camera.side == "left")
@@ -94,6 +92,21 @@ def write_truth(
     lines_s = {camera.side: camera.bolometer.line_time_s for camera in cameras.values()}
     _append_dense(output, scene, (left, right), (lines_s["left"], lines_s["right"]), time_s, dense_frames)
     return facts
+
+
+def _chosen_pair(
+    run_path: Path, cameras: dict[str, CameraSettings], pair: str | None
+) -> dict[str, CameraSettings]:
+    """Cameras of the pair asked for, or of the first one."""
+    names = truth.pair_names(cameras)
+    if not names:
+        raise ThermacqError(
+            f"'{run_path}' was not recorded with a left and a right camera of the simulated flume",
+            remedy="Truth exists only for runs whose cameras have the driver 'sim-camera'.",
+        )
+    if pair is not None and pair not in names:
+        raise ThermacqError(f"'{run_path}' has no pair '{pair}'", remedy=f"It has: {', '.join(names)}.")
+    return truth.of_pair(cameras, names[0] if pair is None else pair)
 
 
 def exposure_times(frames: FrameTable, camera: CameraSettings, frame_rate_hz: float) -> Floats:
