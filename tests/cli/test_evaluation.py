@@ -99,6 +99,8 @@ def test_export_refuses(measured_wave, tmp_path):
     product = measured_wave.product
     assert isinstance(run_command("export", product, "--format", "ply", "-o", taken).exception, StoreError)
     output = tmp_path / "new"
+    misnamed = run_command("export", product, "--format", "vtk", "-o", output.with_suffix(".vtk"))
+    assert "should end in '.vts'" in str(misnamed.exception)
     assert isinstance(run_command("export", product, "--format", "pyl", "-o", output).exception, PluginError)
     outside = run_command("export", product, "--probe", "7", "0", "-o", output)
     assert isinstance(outside.exception, ReconstructionError)

@@ -145,6 +145,7 @@ def export(
     ] = None,
 ) -> None:
     """Export one frame of a product, or the time history of a virtual wave probe."""
+    from thermacq.errors import StoreError
     from thermacq.plugins import plugins
     from thermacq.reconstruction import open_product, virtual_probe
 
@@ -153,6 +154,11 @@ def export(
     _must_be_new(output)
     if probe is None:
         exporter = plugins().exporter(file_format)
+        if output.suffix.lower() != exporter.suffix:
+            raise StoreError(
+                f"'{output}' should end in '{exporter.suffix}': programs choose how to read it by that",
+                remedy="Give the output another name.",
+            )
         exporter.write(product, output, frame)
     else:
         with open_product(product) as dataset:
