@@ -360,3 +360,17 @@ def test_a_cached_loop_keeps_the_flags(context: MakeContext, small: dict[str, An
     settings = {**small, "cached_loop_frames": 3, "shutter": {"at_s": [0.015], "closed_s": 0.01}}
     flags = [frame.flags for frame in triggered(context(), settings, host, 6)]
     assert flags == [FrameFlag.NONE, FrameFlag.SHUTTER, FrameFlag.NONE] * 2
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["blackbody", "cold-start", "dirty-sensor", "real-cameras", "chessboard-moved", "chessboard-corner"],
+)
+def test_shipped_scenes_give_pictures_within_range(
+    context: MakeContext, small: dict[str, Any], host: Any, name: str
+) -> None:
+    scene = tomllib.loads(scene_toml(name))
+    frame = triggered(context(scene=scene), small, host, 2)[1]
+    low, high = np.percentile(frame.counts, (1, 99))
+    assert 2000 < low < high < 12000
+    assert frame.counts.std() > 3
