@@ -85,3 +85,54 @@ def test_equal_seeds_give_equal_patterns() -> None:
 def test_no_texture_at_all_is_legal() -> None:
     flat = ThermalTexture(TextureSettings(rms_k=0.0), 1)
     assert not sample(flat, np.zeros((3, 1)), np.zeros((1, 3)), 0.0).any()
+
+
+STIRRED = {"rms_k": 0.35, "lengths_m": (0.004, 0.01), "streakiness": 2, "stirring_m": 0.012, "eddies_m": 0.03}
+
+
+@pytest.mark.parametrize("warm_streaks", [0.0, 0.5])
+def test_a_stirred_pattern_is_as_strong_as_asked(warm_streaks: float) -> None:
+    texture = ThermalTexture(TextureSettings(warm_streaks=warm_streaks, **STIRRED), 3)
+    seen = sample(texture, WHOLE[:, None], WHOLE[None, :], 0.0)
+    assert seen.std() == pytest.approx(0.35, rel=0.05)
+    assert abs(seen.mean()) < 0.02
+    skew = np.mean((seen - seen.mean()) ** 3) / seen.std() ** 3
+    # expm1 of a Gaussian of standard deviation s has the skew of a log-normal: 1.75 for s = 0.5.
+    assert skew == pytest.approx(1.75 if warm_streaks else 0.0, abs=0.35)
+
+
+def test_a_stirred_pattern_is_periodic_and_seeded() -> None:
+    texture = ThermalTexture(TextureSettings(**STIRRED), 3)
+    x, y = np.linspace(0, 0.4, 60)[:, None], np.linspace(-0.3, 0.3, 80)[None, :]
+    here = sample(texture, x, y, 0.5)
+    np.testing.assert_allclose(sample(texture, x + 2 * PERIOD_M, y - PERIOD_M, 0.5), here, atol=4e-3)
+    again = sample(ThermalTexture(TextureSettings(**STIRRED), 3), x, y, 0.5)
+    np.testing.assert_array_equal(again, here)
+    # No seam: steps across the border of the period are as large as elsewhere.
+    whole = sample(texture, WHOLE[:, None], WHOLE[None, :], 0.0)
+    for axis in (0, 1):
+        steps = np.abs(np.diff(whole, axis=axis, append=np.take(whole, [0], axis=axis)))
+        assert np.take(steps, -1, axis=axis).mean() < 1.3 * steps.mean()
+
+
+def test_eddies_draw_filaments() -> None:
+    """Stirring shortens the pattern across filaments, and turns streaks away from the drift."""
+    calm = ThermalTexture(TextureSettings(**{**STIRRED, "stirring_m": 0.0}), 3)
+    stirred = ThermalTexture(TextureSettings(**STIRRED), 3)
+    along, across = [], []
+    for texture in (calm, stirred):
+        seen = sample(texture, WHOLE[:, None], WHOLE[None, :], 0.0)
+        along.append(np.std(np.diff(seen, axis=0)))
+        across.append(np.std(np.diff(seen, axis=1)))
+    assert along[1] > 1.5 * along[0]
+    assert across[1] / along[1] < across[0] / along[0]
+
+
+def test_the_lifetime_is_that_of_the_settings() -> None:
+    for lifetime_s in (2.0, 8.0):
+        texture = ThermalTexture(TextureSettings(lifetime_s=lifetime_s), 6)
+        begun = sample(texture, WHOLE[:, None], WHOLE[None, :], 0.0)
+        half = sample(texture, WHOLE[:, None], WHOLE[None, :], lifetime_s / 2)
+        gone = sample(texture, WHOLE[:, None], WHOLE[None, :], lifetime_s)
+        assert np.corrcoef(begun.ravel(), half.ravel())[0, 1] == pytest.approx(np.cos(np.pi / 4), abs=0.12)
+        assert abs(np.corrcoef(begun.ravel(), gone.ravel())[0, 1]) < 0.2
