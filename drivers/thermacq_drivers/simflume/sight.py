@@ -28,7 +28,10 @@ from thermacq_drivers.simflume.surfaces import Floats, Surface
 
 CAPILLARY_LENGTH_M = 0.0027
 RING_M = 0.03
+_MENISCUS_M = 0.024
+# Beyond this the meniscus of 1 mm is lower than 0.2 µm.
 _HIDDEN_M = 0.01
+_LEVELS = 13
 _STEPS = 60
 _NEWTON_STEPS = 3
 _FULL_STEPS = 10
@@ -102,44 +105,54 @@ class Continued:
 
     def elevation(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> Floats:
         """Elevation above still water, metres."""
-        x, y, _ = self._outside(x_m, y_m)
+        x, y, _, _ = self._outside(x_m, y_m)
         return self.surface.elevation(x, y, time_s)
 
     def slope(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
         """Slope along x and along y."""
-        x, y, bend = self._outside(x_m, y_m)
+        x, y, inside, (bend_xx, bend_xy, bend_yy) = self._outside(x_m, y_m)
         along, across = self.surface.slope(x, y, time_s)
-        return bend[0] * along + bend[1] * across, bend[1] * along + bend[2] * across
+        there_x, there_y = along[inside], across[inside]
+        along[inside] = bend_xx * there_x + bend_xy * there_y
+        across[inside] = bend_xy * there_x + bend_yy * there_y
+        return along, across
 
     def velocity(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
         """Horizontal velocity (x, y) of the water at the surface, m/s."""
-        x, y, _ = self._outside(x_m, y_m)
+        x, y, _, _ = self._outside(x_m, y_m)
         return self.surface.velocity(x, y, time_s)
 
     def label(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> tuple[Floats, Floats]:
         """Material coordinates (along x, along y) of the particle now at (x, y), metres."""
-        x, y, _ = self._outside(x_m, y_m)
+        x, y, _, _ = self._outside(x_m, y_m)
         along, across = self.surface.label(x, y, time_s)
         return along + (x_m - x), across + (y_m - y)
 
-    def _outside(self, x_m: Floats, y_m: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats, Floats]]:
-        """Places, those inside the cylinder mirrored at its wall; and the derivatives xx, xy, yy of that."""
-        x, y = x_m - self._cylinder.x_m, y_m - self._cylinder.y_m
+    def _outside(
+        self, x_m: Floats, y_m: Floats
+    ) -> tuple[Floats, Floats, NDArray[np.bool_], tuple[Floats, Floats, Floats]]:
+        """Places, those inside the cylinder mirrored at its wall; which those are; derivatives xx, xy, yy of that."""
         wall_m = self._cylinder.radius_m
+        x, y = x_m - self._cylinder.x_m, y_m - self._cylinder.y_m
+        within = x * x + y * y < wall_m**2
+        x, y = x[within], y[within]
         # Deep inside, only finite: places there shrink towards the middle.
         radius = np.maximum(np.hypot(x, y), 0.5 * wall_m)
-        inside = np.maximum(wall_m - radius, 0.0)
+        inside = wall_m - radius
         # Near the wall as far outside as the place is inside; less, deep inside.
         fading = np.exp(-((2 * inside / wall_m) ** 2))
-        around = np.where(inside > 0, (wall_m + inside * fading) / radius, 1.0)
-        outwards = np.where(inside > 0, -fading * (1 - 8 * (inside / wall_m) ** 2), 1.0)
+        around = (wall_m + inside * fading) / radius
+        outwards = -fading * (1 - 8 * (inside / wall_m) ** 2)
         cosine, sine = x / radius, y / radius
         bend = (
             outwards * cosine**2 + around * sine**2,
             (outwards - around) * cosine * sine,
             outwards * sine**2 + around * cosine**2,
         )
-        return self._cylinder.x_m + around * x, self._cylinder.y_m + around * y, bend
+        mirrored_x, mirrored_y = np.array(x_m), np.array(y_m)
+        mirrored_x[within] = self._cylinder.x_m + around * x
+        mirrored_y[within] = self._cylinder.y_m + around * y
+        return mirrored_x, mirrored_y, within, bend
 
 
 class Sight:
@@ -177,6 +190,24 @@ class Sight:
         self.rays = camera.rays(self.grid.nodes_px)
         self._line_time_s = line_time_s
         self._delay_s = row_delay_s(self.grid.nodes_px, line_time_s)
+
+        if picture is not None and cylinder is not None:
+            self._ring_candidates = self._find_candidates(picture, cylinder)
+            self._candidate_rays = np.ascontiguousarray(picture.rays.reshape(-1, 3)[self._ring_candidates].T)
+
+    def _find_candidates(self, picture: CylinderPicture, cylinder: CylinderSettings) -> NDArray[np.intp]:
+        """Pixels of the part (flat indices) that see water close to the wall at some height of the water."""
+        centre, rays = self.camera.centre_m, picture.rays
+        highest_m = self.surface.highest_m + cylinder.meniscus_m
+        near = np.zeros(rays.shape[:2], bool)
+        for level_m in np.linspace(-1.5 * highest_m, highest_m, _LEVELS):
+            depth = (level_m - centre[2]) / rays[..., 2]
+            distance = np.hypot(
+                centre[0] - cylinder.x_m + depth * rays[..., 0],
+                centre[1] - cylinder.y_m + depth * rays[..., 1],
+            )
+            near |= np.abs(distance - cylinder.radius_m) < RING_M
+        return np.flatnonzero(near)
 
     def read_s(self, time_s: float) -> Floats | float:
         """When each node is read out, (node rows, 1) or a number, if the first row is read at a time."""
@@ -224,24 +255,31 @@ class Sight:
             self.grid.spread(values, picture.rows, picture.columns)
             for values in (water.depth_m, water.slope_x, water.slope_y)
         )
-        centre, axis = self.camera.centre_m, np.array([cylinder.x_m, cylinder.y_m])
-        offset = centre[:2] - axis + depth[..., None] * picture.rays[..., :2]
-        distance = np.hypot(offset[..., 0], offset[..., 1]) - cylinder.radius_m
-        ring = (np.abs(distance) < RING_M) & (depth < picture.depth_m + _HIDDEN_M)
-        rays, slope_x, slope_y = picture.rays[ring], slope_x[ring], slope_y[ring]
+        near, (along, across, down) = self._ring_candidates, self._candidate_rays
+        found = depth.ravel()[near]
+        centre_x, centre_y, centre_z = self.camera.centre_m
+        distance = np.hypot(centre_x - cylinder.x_m + found * along, centre_y - cylinder.y_m + found * across)
+        kept = np.abs(distance - cylinder.radius_m) < RING_M
+        kept &= found < picture.depth_m.ravel()[near] + _HIDDEN_M
+        near, found = near[kept], found[kept]
+        along, across, down = along[kept], across[kept], down[kept]
+        slope_x, slope_y = slope_x.ravel()[near], slope_y.ravel()[near]
         read_s: Floats | float = time_s
         if self._line_time_s:
-            read_s = time_s + self._line_time_s * (picture.rows.start + np.nonzero(ring)[0])
-        descent = rays[:, 2] - slope_x * rays[:, 0] - slope_y * rays[:, 1]
-        points = centre + depth[ring][:, None] * rays
+            read_s = time_s + self._line_time_s * (picture.rows.start + near // depth.shape[1])
+        descent = down - slope_x * along - slope_y * across
         for _ in range(2):
-            gap = points[:, 2] - self.surface.elevation(points[:, 0], points[:, 1], read_s)
-            change = _change_of_depth(cylinder, points[:, :2] - axis, rays, gap, descent)
-            points += change[:, None] * rays
-        depth[ring] = (points - centre) @ self.camera.rotation[2]
-        _, growth, outward = _meniscus(cylinder, points[:, :2] - axis)
-        sloping = slope_x + growth * outward[:, 0], slope_y + growth * outward[:, 1]
-        return Front(depth, ring, Water(points, depth[ring], *sloping), read_s)
+            x, y = centre_x + found * along, centre_y + found * across
+            gap = centre_z + found * down - self.surface.elevation(x, y, read_s)
+            found = found + _change_of_depth(cylinder, (x, y), (along, across), gap, descent)
+        depth.ravel()[near] = found
+        points = np.stack([centre_x + found * along, centre_y + found * across, centre_z + found * down], -1)
+        _, growth, cosine, sine = _meniscus(cylinder, points[:, 0], points[:, 1])
+        ring = np.zeros(depth.shape, bool)
+        ring.ravel()[near] = True
+        return Front(
+            depth, ring, Water(points, found, slope_x + growth * cosine, slope_y + growth * sine), read_s
+        )
 
     def depth(self, time_s: float) -> tuple[Floats, NDArray[np.bool_]]:
         """Depth of what the middle of each pixel sees, and whether that is the cylinder: (rows, columns)."""
@@ -284,27 +322,36 @@ def cylinder_share(picture: CylinderPicture, front: Front) -> NDArray[np.float32
     return share
 
 
-def _meniscus(cylinder: CylinderSettings, offset_m: Floats) -> tuple[Floats, Floats, Floats]:
-    """Meniscus at places (places, 2) relative to the axis: height, slope outwards, outward direction."""
-    radius = np.hypot(offset_m[:, 0], offset_m[:, 1])
+def _meniscus(cylinder: CylinderSettings, x_m: Floats, y_m: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Meniscus at places (places,): height, slope outwards, and cosine and sine of the outward direction."""
+    x, y = x_m - cylinder.x_m, y_m - cylinder.y_m
+    radius = np.hypot(x, y)
     beyond = np.maximum(radius - cylinder.radius_m, 0.0)
-    height = cylinder.meniscus_m * np.exp(-beyond / CAPILLARY_LENGTH_M)
-    return height, -height / CAPILLARY_LENGTH_M, offset_m / radius[:, None]
+    height = cylinder.meniscus_m * np.exp(beyond * (-1 / CAPILLARY_LENGTH_M))
+    return height, height * (-1 / CAPILLARY_LENGTH_M), x / radius, y / radius
 
 
 def _change_of_depth(
-    cylinder: CylinderSettings, offset_m: Floats, rays: Floats, gap_m: Floats, descent: Floats
+    cylinder: CylinderSettings,
+    place_m: tuple[Floats, Floats],
+    rays: tuple[Floats, Floats],
+    gap_m: Floats,
+    descent: Floats,
 ) -> Floats:
     """Change of depth that brings rays to the water and its meniscus.
 
-    Within so short a way the water without meniscus is a plane: `gap_m` is how high each ray is above it,
-    `descent` how fast the gap changes with depth.
+    Within so short a way the water without meniscus is a plane: `gap_m` is how high each ray is above it at
+    `place_m`, `descent` how fast the gap changes with depth. `rays` are the rays' horizontal parts.
     """
-    change = -gap_m / descent
+    change: Floats = -gap_m / descent
+    close = np.hypot(place_m[0] - cylinder.x_m, place_m[1] - cylinder.y_m) < cylinder.radius_m + _MENISCUS_M
+    x, y, along, across, gap, falling = (values[close] for values in (*place_m, *rays, gap_m, descent))
+    raised = change[close]
     for _ in range(_STEPS):
-        height, growth, outward = _meniscus(cylinder, offset_m + change[:, None] * rays[:, :2])
-        step = (gap_m + change * descent - height) / (descent - growth * (rays[:, :2] * outward).sum(axis=1))
-        change -= step
+        height, growth, cosine, sine = _meniscus(cylinder, x + raised * along, y + raised * across)
+        step = (gap + raised * falling - height) / (falling - growth * (along * cosine + across * sine))
+        raised -= step
         if np.abs(step).max(initial=0.0) < _TOLERANCE_M:
             break
+    change[close] = raised
     return change
