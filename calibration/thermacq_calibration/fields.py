@@ -46,6 +46,13 @@ class Fields:
         value = self.value(key)
         return value if isinstance(value, str) else self._wrong(key, "a text")
 
+    def text_pair(self, key: str) -> tuple[str, str]:
+        """Two strings."""
+        value = self.value(key)
+        if not isinstance(value, list) or len(value) != 2 or not all(isinstance(item, str) for item in value):
+            self._wrong(key, "two texts")
+        return value[0], value[1]
+
     def flag(self, key: str) -> bool:
         """True or false."""
         value = self.value(key)

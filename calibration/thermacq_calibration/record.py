@@ -66,6 +66,8 @@ class StereoCalibration:
         All views, used or not.
     uncertainty
         Standard uncertainties, plain values; None while they are not known.
+    serials
+        Serial numbers of the left and the right camera; None while they are not known.
     source
         Where the views came from.
     created
@@ -84,6 +86,7 @@ class StereoCalibration:
     board: Board | None = None
     views: tuple[ViewReport, ...] = ()
     uncertainty: Mapping[str, Any] | None = None
+    serials: tuple[str, str] | None = None
     source: str = ""
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
 
@@ -237,6 +240,7 @@ class StereoCalibration:
             "board": None if self.board is None else vars(self.board).copy(),
             "views": [vars(view).copy() for view in self.views],
             "uncertainty": None if self.uncertainty is None else dict(self.uncertainty),
+            "serials": None if self.serials is None else list(self.serials),
             "source": self.source,
             "created": self.created,
         }
@@ -285,6 +289,7 @@ def _from_fields(record: Fields) -> StereoCalibration:
         board=None if board is None else board_from(board),
         views=tuple(view_from(view) for view in record.tables("views")),
         uncertainty=record.optional_mapping("uncertainty"),
+        serials=None if record.value("serials") is None else record.text_pair("serials"),
         source=record.text("source"),
         created=record.text("created"),
     )

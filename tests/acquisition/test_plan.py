@@ -74,6 +74,15 @@ def test_a_calibration_of_another_size_is_refused(make_rig, tmp_path: Path) -> N
         plan.check_fit(work, {"left": camera("1"), "right": camera("2")})
 
 
+def test_a_calibration_of_other_cameras_is_refused(make_rig, tmp_path: Path) -> None:
+    devices = {"left": camera("1"), "right": camera("2")}
+    fits = {"image_size": [64, 48], "serials": ["1", "2"]}
+    plan.check_fit(Job("id", make_rig(), tmp_path / "run.h5", calibration=fits), devices)
+    exchanged = {"image_size": [64, 48], "serials": ["2", "1"]}
+    with pytest.raises(RigError, match=r"for cameras \['2', '1'\], the rig has \['1', '2'\]"):
+        plan.check_fit(Job("id", make_rig(), tmp_path / "run.h5", calibration=exchanged), devices)
+
+
 def test_streams_carry_what_the_devices_said() -> None:
     probe = Opened(DeviceIdentity("p", "m", "9"), {"gain": 2}, ProbeCapabilities(("a",), "V", 100.0, 1e3))
     cameras, probes = plan.streams({"left": camera("1"), "wp": probe})

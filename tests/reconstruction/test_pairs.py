@@ -57,6 +57,23 @@ def test_the_calibration_of_another_rig_is_refused(tmp_path, still_run, scene):
         find_calibration(run, tmp_path / "other.json")
 
 
+@pytest.mark.parametrize(
+    ("serials", "problem"),
+    [(("right-1", "left-1"), "left and right exchanged"), (("left-1", "other"), "of other cameras")],
+)
+def test_the_calibration_of_other_cameras_is_refused(
+    tmp_path, still_run, scene, monkeypatch, serials, problem
+):
+    monkeypatch.setattr("thermacq.reconstruction.pairs.camera_serials", lambda _: ("left-1", "right-1"))
+    calibration = scene().calibration()
+    dataclasses.replace(calibration, serials=serials).save(tmp_path / "other.json")
+    dataclasses.replace(calibration, serials=("left-1", "right-1")).save(tmp_path / "own.json")
+    with open_run(still_run) as run:
+        assert find_calibration(run, tmp_path / "own.json").serials == ("left-1", "right-1")
+        with pytest.raises(ReconstructionError, match=problem):
+            find_calibration(run, tmp_path / "other.json")
+
+
 def test_the_range_of_disparity_is_found_from_the_run(still_run, scene):
     source = open_source(still_run)
     truth = scene().pair()[2]

@@ -133,7 +133,13 @@ def _calibration_misfits(job: Job, opened: Mapping[str, Opened]) -> list[str]:
     if job.calibration is None:
         return []
     size = tuple(job.calibration["image_size"])
-    return [
+    cameras = list(cameras_of(opened))
+    pair = ["left", "right"] if {"left", "right"} <= set(cameras) else cameras[:2]
+    found = [opened[name].identity.serial for name in pair]
+    wanted = job.calibration.get("serials")
+    others = wanted is not None and all(found) and found != list(wanted)
+    misfits = [f"the calibration is for cameras {wanted}, the rig has {found}"] if others else []
+    return misfits + [
         f"the calibration is for pictures of {size[0]} x {size[1]} pixels, camera '{name}' makes "
         f"{camera.columns} x {camera.rows}"
         for name, camera in cameras_of(opened).items()

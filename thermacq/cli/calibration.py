@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -46,7 +47,7 @@ def calibrate(
 
     For a run file the board defaults to the one in its rig.
     """
-    from thermacq.reconstruction.views import open_views
+    from thermacq.reconstruction.views import open_views, serials_of
 
     _refuse_existing(output)
     if bool(left) != bool(right) or bool(left) == bool(sources):
@@ -55,6 +56,7 @@ def calibrate(
         with open_views(sources, frames_per_view) as pictures:
             board = _board(sources, columns, rows, square_m)
             calibration = _calibrate(pictures, board, " ".join(map(str, sources)), as_json)
+        calibration = replace(calibration, serials=serials_of(sources))
     else:
         board = _board([], columns, rows, square_m)
         calibration = _calibrate(_globbed(left, right), board, f"{left} {right}", as_json)
@@ -178,13 +180,13 @@ def _miscount(pictures: Sequence[PictureView], board: Board) -> str:
 
 def _board(sources: Sequence[Path], columns: int | None, rows: int | None, square_m: float | None) -> Board:
     """The board of the command line, completed from the rig of a run file."""
-    from thermacq.reconstruction.views import is_picture
+    from thermacq.reconstruction.views import is_run
     from thermacq.store import open_run
     from thermacq_calibration import Board
 
     if columns is not None and rows is not None and square_m is not None:
         return Board(columns, rows, square_m)
-    if len(sources) == 1 and sources[0].is_file() and not is_picture(sources[0]):
+    if is_run(sources):
         with open_run(sources[0]) as run:
             known = run.rig.board
         return Board(columns or known.columns, rows or known.rows, square_m or known.square_m)
@@ -256,6 +258,10 @@ def _figures(calibration: StereoCalibration) -> list[tuple[str, str]]:
         ("baseline", f"{calibration.baseline_m:.6g} m"),
         ("translation", f"({translation}) m"),
         ("focal lengths", f"{left.matrix[0, 0]:.2f}, {right.matrix[0, 0]:.2f} px (left, right)"),
+        (
+            "cameras",
+            ", ".join(calibration.serials) + " (left, right)" if calibration.serials else "not known",
+        ),
         ("source", calibration.source),
         ("created", calibration.created),
         ("sha256", calibration.sha256),

@@ -158,7 +158,26 @@ def find_calibration(run: RunFile, given: Path | None) -> StereoCalibration:
                 f"camera '{name}' of '{run.path}' has {stream.columns} x {stream.rows}",
                 remedy="Use the calibration of these cameras.",
             )
+    _check_serials(run, calibration)
     return calibration
+
+
+def camera_serials(run: RunFile) -> tuple[str, str] | None:
+    """Serial numbers of the left and the right camera, None unless both are known."""
+    left, right = (str(run.camera(name).identity.get("serial", "")) for name in camera_sides(run))
+    return (left, right) if left and right else None
+
+
+def _check_serials(run: RunFile, calibration: StereoCalibration) -> None:
+    found, wanted = camera_serials(run), calibration.serials
+    if found is None or wanted is None or found == wanted:
+        return
+    what = "with left and right exchanged" if found == wanted[::-1] else "of other cameras"
+    raise ReconstructionError(
+        f"the calibration is {what}: it is for left {wanted[0]}, right {wanted[1]}; "
+        f"'{run.path}' has left {found[0]}, right {found[1]}",
+        remedy="Use the calibration of these cameras.",
+    )
 
 
 def _clock(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermacq.errors import ImportDataError, ReconstructionError
-from thermacq.reconstruction.pairs import run_pairs
+from thermacq.reconstruction.pairs import camera_serials, run_pairs
 from thermacq.store import RunFile, open_run
 from thermacq_calibration import FRAMES_TO_AVERAGE, Board, Detection, NoBoard, View, average, detect_board
 from thermacq_calibration.poses import changes, still_stretches
@@ -63,6 +63,19 @@ def open_views(sources: Sequence[Path], frames_per_view: int | None = None) -> I
     else:
         with open_run(sources[0]) as run:
             yield views_from_run(run, frames_per_view)
+
+
+def is_run(sources: Sequence[Path]) -> bool:
+    """Whether the sources are one run file."""
+    return len(sources) == 1 and sources[0].is_file() and not is_picture(sources[0])
+
+
+def serials_of(sources: Sequence[Path]) -> tuple[str, str] | None:
+    """Serial numbers of the cameras of a run file; None for pictures, which do not tell."""
+    if not is_run(sources):
+        return None
+    with open_run(sources[0]) as run:
+        return camera_serials(run)
 
 
 def views_from_files(files: Sequence[Path]) -> list[PictureView]:
