@@ -71,6 +71,9 @@ class CameraSettings(Mounting):
     line: str = Field("trigger", pattern=r"^[\w-]+$", description="trigger line, for mode 'hardware'")
     trigger_latency_s: float = Field(0.0, ge=0, lt=0.1, description="from a trigger to the exposure")
     trigger_jitter_s: float = Field(0.0, ge=0, lt=0.01, description="standard deviation of the latency")
+    missed_pulse_probability: float = Field(
+        0.0, ge=0, lt=1, description="of a pulse on the line that the camera does not notice nor count"
+    )
     loss_probability: float = Field(0.0, ge=0, lt=1, description="of a frame on its way to the host")
     cached_loop_frames: int = Field(
         0, ge=0, le=500, description="draw so many frames when armed and play them in a loop; 0: draw each"
@@ -186,7 +189,7 @@ class SimulatedCamera:
             return SoftwareTriggers(self._clock, settings.timeout_s)
         if mode is TriggerMode.HARDWARE:
             line = LineReader(self._context.runtime_dir, settings.line)
-            return LineTriggers(self._clock, line, settings.timeout_s)
+            return LineTriggers(self._clock, line, settings.timeout_s, is_missed=self._is_missed)
         return FreeRun(self._clock, settings.clock.host_period_s(1 / frame_rate_hz) * NS_PER_S)
 
     def trigger(self, index: int) -> None:
@@ -240,7 +243,7 @@ class SimulatedCamera:
         return Frame(
             counts=counts,
             counter=(settings.counter_start + number) % 2**settings.counter_bits,
-            ticks=settings.clock.ticks(start_s),
+            ticks=settings.clock.ticks(start_s, self._clock_jitter_s(number)),
             host_ns=self._clock.now_ns(),
             trigger_index=exposure.trigger_index,
             flags=flags,
@@ -278,12 +281,19 @@ class SimulatedCamera:
         )
         return settings.trigger_latency_s + abs(float(jitter))
 
+    def _clock_jitter_s(self, number: int) -> float:
+        return float(self._settings.clock.drawn_jitter_s(self._scene.seed, self._name, number)[0])
+
     def _is_lost(self, exposure: Exposure) -> bool:
-        probability = self._settings.loss_probability
+        return self._happens("loss", exposure.number, self._settings.loss_probability)
+
+    def _is_missed(self, pulse: int) -> bool:
+        return self._happens("missed pulse", pulse, self._settings.missed_pulse_probability)
+
+    def _happens(self, what: str, number: int, probability: float) -> bool:
         if probability == 0:
             return False
-        draw = generator(self._scene.seed, self._name, "loss", exposure.number).uniform()
-        return bool(draw < probability)
+        return bool(generator(self._scene.seed, self._name, what, number).uniform() < probability)
 
     def _act_out_faults(self, exposure: Exposure, host: FrameHost) -> None:
         """Raise the fault that the settings order for this exposure."""

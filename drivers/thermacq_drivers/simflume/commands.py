@@ -1,4 +1,4 @@
-"""``thermacq simulate``: ready rigs and scenes of the simulated flume, and the truth about its runs."""
+"""``thermacq simulate``: ready rigs and scenes of the simulated flume, runs of it, and the truth about them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ app = typer.Typer(
 
 @app.command()
 def rig(
-    two_pairs: Annotated[
-        bool, typer.Option("--two-pairs", help="Two pairs of cameras around a cylinder.")
-    ] = False,
+    name: Annotated[str, typer.Argument(help="paper, two-pairs or mis-synchronised.")] = "paper",
 ) -> None:
-    """Print a rig file: two simulated cameras, a wave probe, virtual time."""
+    """Print a rig file: simulated cameras, a wave probe, virtual time."""
     from thermacq_drivers.simflume.ready_made import rig_toml
 
-    sys.stdout.write(rig_toml(two_pairs))
+    sys.stdout.write(rig_toml(name))
 
 
 @app.command()
@@ -84,6 +82,35 @@ def list_scenes(
     console.print(scenes)
     console.print()
     console.print(table)
+
+
+@app.command()
+def run(
+    scene: Annotated[
+        str, typer.Argument(metavar="SCENE", help="Scene file (.toml), or a name that `simulate list` shows.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN", help="Run file to make.")],
+    duration_s: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="Length of the recording, seconds.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option("--frames", metavar="N", help="Frames per camera.")] = None,
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig",
+            help="Rig file (.toml), or a name that `simulate rig` knows. "
+            "[default: the one of the scene's name, else paper]",
+        ),
+    ] = None,
+    truth: Annotated[Path | None, typer.Option("--truth", help="Truth file to make too, NetCDF-4.")] = None,
+) -> None:
+    """Record a scene as `thermacq record` does with a ready rig; without a length until Ctrl-C."""
+    from thermacq_drivers.simflume.simulate_run import simulate
+
+    length = [] if duration_s is None else ["--duration", str(duration_s)]
+    length += [] if frames is None else ["--frames", str(frames)]
+    if status := simulate(scene, rig, output, length, truth):
+        raise typer.Exit(status)
 
 
 @app.command()

@@ -13,22 +13,34 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from thermacq.timing import NS_PER_S, Clock
+from thermacq_drivers.simflume.seeds import generator
 from thermacq_drivers.simflume.settings import Table
 
 START_FILE = "scene-start"
+_LARGEST_JITTER = 4.0
+# In standard deviations.
 
 _Number = TypeVar("_Number", float, NDArray[np.float64])
 
 
 class DeviceClockSettings(Table):
-    """A device's own clock: it reads ``offset_s + (1 + drift) * scene time``, in ticks."""
+    """A device's own clock: it reads ``offset_s + (1 + drift) * scene time + jitter``, in ticks."""
 
     offset_s: float = Field(0.0, ge=0, lt=1e6)
     drift_ppm: float = Field(0.0, gt=-1e5, lt=1e5)
     tick_rate_hz: float = Field(1e6, gt=0, le=1e9)
+    jitter_s: float = Field(0.0, ge=0, lt=0.01, description="standard deviation of a single reading")
+
+    @model_validator(mode="after")
+    def _never_below_zero(self) -> DeviceClockSettings:
+        if self.offset_s < _LARGEST_JITTER * self.jitter_s:
+            raise ValueError(
+                f"offset_s must be at least {_LARGEST_JITTER:g} jitter_s: no clock reads below 0"
+            )
+        return self
 
     def reading_s(self, scene_s: _Number) -> _Number:
         """What the device's clock shows, in its own seconds, at a time of the scene."""
@@ -42,9 +54,16 @@ class DeviceClockSettings(Table):
         """How long a period of the device's clock really lasts."""
         return period_s / (1 + self.drift_ppm * 1e-6)
 
-    def ticks(self, scene_s: float) -> int:
-        """Reading of the device's clock in whole ticks."""
-        return max(0, round(self.reading_s(scene_s) * self.tick_rate_hz))
+    def ticks(self, scene_s: float, jitter_s: float = 0.0) -> int:
+        """Reading of the device's clock in whole ticks, off by a jitter drawn before."""
+        return max(0, round((self.reading_s(scene_s) + jitter_s) * self.tick_rate_hz))
+
+    def drawn_jitter_s(self, seed: int, device: str, number: int, count: int = 1) -> NDArray[np.float64]:
+        """Jitter of a device's readings number `number` to `number + count - 1`, drawn together: (count,)."""
+        if self.jitter_s == 0:
+            return np.zeros(count)
+        drawn = generator(seed, device, "clock jitter", number).standard_normal(count)
+        return self.jitter_s * np.clip(drawn, -_LARGEST_JITTER, _LARGEST_JITTER)
 
 
 class SceneTime:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -130,19 +131,38 @@ class LineTriggers:
         Longest wait for a pulse.
     queued
         Exposures that the camera keeps for a late host; in virtual time it is never late.
+    is_missed
+        Whether the camera overlooks the pulse of this index.
     """
 
     def __init__(
-        self, clock: Clock, line: LineReader, timeout_s: float, queued: int = _QUEUED_EXPOSURES
+        self,
+        clock: Clock,
+        line: LineReader,
+        timeout_s: float,
+        queued: int = _QUEUED_EXPOSURES,
+        is_missed: Callable[[int], bool] = lambda _: False,
     ) -> None:
         self._clock = clock
         self._line = line
         self._timeout_s = timeout_s
         self._queued = queued
+        self._is_missed = is_missed
         self._number = 0
 
     def next(self, host: StreamHost) -> Exposure | None:
         """Wait for a pulse; after the last one of a session, until the host stops."""
+        while True:
+            pulse = self._next_pulse(host)
+            if pulse is None or not self._is_missed(pulse[0]):
+                break
+        if pulse is None:
+            return None
+        self._number += 1
+        return Exposure(self._number - 1, *pulse)
+
+    def _next_pulse(self, host: StreamHost) -> tuple[int, int] | None:
+        """Index and host time of the next pulse, once it is due."""
         # Real seconds in any case: in virtual time no time passes while nothing happens.
         deadline = time.monotonic() + self._timeout_s
         while self._line.waiting == 0:
@@ -158,8 +178,7 @@ class LineTriggers:
             self._number += 1
         index, pulse_ns = self._line.take()
         self._clock.wait_until_ns(pulse_ns, host.stopping)
-        self._number += 1
-        return Exposure(self._number - 1, index, pulse_ns)
+        return index, pulse_ns
 
     def close(self) -> None:
         """Let go of the line."""

@@ -20,10 +20,25 @@ case = "{name}"
 """
 
 
-def rig_toml(two_pairs: bool = False) -> str:
-    """The paper's rig, simulated; or with two pairs of cameras around a cylinder."""
-    name = "two_pairs.toml" if two_pairs else "rig.toml"
-    return resources.files("thermacq_drivers.simflume").joinpath(name).read_text(encoding="utf-8")
+RIGS = {
+    "paper": "rig.toml",
+    "two-pairs": "two_pairs.toml",
+    "mis-synchronised": "mis_synchronised.toml",
+}
+"""Ready rigs: names, and their files in this package."""
+
+
+def rig_toml(name: str = "paper") -> str:
+    """A rig file of `RIGS`.
+
+    Raises
+    ------
+    RigError
+        There is no such rig.
+    """
+    if name not in RIGS:
+        raise RigError(f"there is no ready rig '{name}'", remedy=f"Known: {', '.join(RIGS)}.")
+    return resources.files("thermacq_drivers.simflume").joinpath(RIGS[name]).read_text(encoding="utf-8")
 
 
 def scene_summaries() -> dict[str, str]:

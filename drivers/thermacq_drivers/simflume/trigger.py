@@ -1,7 +1,8 @@
-"""Driver ``sim-trigger``: a box that pulses a simulated trigger line, with jitter and skipped pulses."""
+"""Driver ``sim-trigger``: a box that pulses a simulated trigger line, with jitter, and pulses lost, late or doubled."""
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator
 
@@ -37,6 +38,10 @@ class TriggerSettings(Table):
     drift_ppm: float = Field(0.0, gt=-1e5, lt=1e5, description="of its clock: positive is fast")
     jitter_s: float = Field(0.0, ge=0, lt=0.01, description="standard deviation of a pulse's time")
     skip_probability: float = Field(0.0, ge=0, lt=1, description="of a pulse that the box leaves out")
+    late_probability: float = Field(0.0, ge=0, lt=1, description="of a pulse that comes late")
+    late_s: float = Field(0.002, gt=0, lt=0.1, description="how late it is")
+    double_probability: float = Field(0.0, ge=0, lt=1, description="of a pulse that comes twice")
+    double_s: float = Field(0.002, gt=0, lt=0.1, description="from such a pulse to its double")
     fail_at_pulse: int = Field(-1, ge=-1, description="it is unplugged here")
 
 
@@ -84,28 +89,24 @@ class SimulatedTrigger:
         self._line.start_session()
 
     def pulses(self, host: StreamHost) -> Iterator[TriggerPulse]:
-        """Emit pulses and yield each; a skipped one shows as a longer interval, not as a gap of the index."""
+        """Emit pulses and yield each; a skipped one is a longer interval, and a double has an index of its own."""
         line = self._line
         if line is None:
             raise self._fault("acquire", "it is not armed")
-        start_ns = self._clock.now_ns()
-        index = cycle = 0
-        while self._line is not None and (self._count is None or index < self._count):
+        for index, due_ns in enumerate(self._due_times_ns(self._clock.now_ns())):
+            if self._line is None or index == self._count:
+                break
             if index == self._settings.fail_at_pulse:
                 self.close()
                 raise DeviceDisconnected(self._name, "acquire", "the source is gone", last_frame=index - 1)
-            due_ns = start_ns + round(cycle * self._period_ns) + self._jitter_ns(cycle)
             sleep_until(self._clock, due_ns, host)
             while self._clock.is_virtual and line.lead() >= _LARGEST_LEAD and not host.stopping():
                 time.sleep(_POLL_S)
             if host.stopping():
                 break
-            if not self._is_skipped(cycle):
-                pulse_ns = due_ns if self._clock.is_virtual else self._clock.now_ns()
-                line.emit(pulse_ns)
-                yield TriggerPulse(index, pulse_ns)
-                index += 1
-            cycle += 1
+            pulse_ns = due_ns if self._clock.is_virtual else self._clock.now_ns()
+            line.emit(pulse_ns)
+            yield TriggerPulse(index, pulse_ns)
         line.finish_session()
 
     def disarm(self) -> None:
@@ -126,10 +127,26 @@ class SimulatedTrigger:
         # The first pulse cannot come before the start.
         return max(round(float(jitter_s) * NS_PER_S), -round(cycle * self._period_ns))
 
-    def _is_skipped(self, cycle: int) -> bool:
-        probability = self._settings.skip_probability
-        draw = generator(self._scene.seed, self._name, "skip", cycle).uniform() if probability else 1.0
-        return bool(draw < probability)
+    def _due_times_ns(self, start_ns: int) -> Iterator[int]:
+        """Host times of all pulses, without end, in order."""
+        settings, last_ns = self._settings, start_ns - 1
+        for cycle in itertools.count():
+            if self._happens("skip", cycle, settings.skip_probability):
+                continue
+            due_ns = start_ns + round(cycle * self._period_ns) + self._jitter_ns(cycle)
+            if self._happens("late", cycle, settings.late_probability):
+                due_ns += round(settings.late_s * NS_PER_S)
+            pulses = [due_ns]
+            if self._happens("double", cycle, settings.double_probability):
+                pulses.append(due_ns + round(settings.double_s * NS_PER_S))
+            for pulse_ns in pulses:
+                last_ns = max(pulse_ns, last_ns + 1)
+                yield last_ns
+
+    def _happens(self, what: str, cycle: int, probability: float) -> bool:
+        if probability == 0:
+            return False
+        return bool(generator(self._scene.seed, self._name, what, cycle).uniform() < probability)
 
     def _require_open(self, stage: str) -> None:
         if not self._is_open:

@@ -72,7 +72,7 @@ def write_truth(
             raise ThermacqError(f"'{run_path}' shows the {scene.view}, not the water")
         name = next(name for name, camera in cameras.items() if camera.side == "left")
         frames = run.frames(name)
-        time_s = exposure_times(frames, cameras[name], rig["trigger"]["frame_rate_hz"])
+        time_s = exposure_times(frames, name, cameras[name], rig)
         wrong = [frame for frame in dense_frames if not 0 <= frame < len(frames)]
         if wrong:
             raise ThermacqError(f"camera '{name}' has no frame {wrong[0]}: it has {len(frames)}")
@@ -84,7 +84,7 @@ def write_truth(
             "clocks": truth.clock_facts(rig),
         }
         attributes = _attributes(run, name, facts)
-        exposures = {each: _exposures(run.frames(each), cameras[each], rig) for each in cameras}
+        exposures = {each: _exposures(run.frames(each), each, cameras[each], rig) for each in cameras}
         recording_s = (frames.host_ns - run.header.host_anchor_ns) / NS_PER_S
     grid = common_view(left, right, spacing_m) if scene.view == "water" else None
     _write(output, attributes, surface, (time_s, recording_s), grid)
@@ -109,21 +109,23 @@ def _chosen_pair(
     return truth.of_pair(cameras, names[0] if pair is None else pair)
 
 
-def exposure_times(frames: FrameTable, camera: CameraSettings, frame_rate_hz: float) -> Floats:
-    """Time of the scene at each exposure, from the camera's own clock: (frames,) seconds."""
+def exposure_times(frames: FrameTable, name: str, camera: CameraSettings, rig: dict[str, Any]) -> Floats:
+    """Time of the scene at each exposure, from the camera's own clock less its jitter: (frames,) seconds."""
+    number = frames.sequence_number - camera.counter_start
     if camera.cached_loop_frames:
-        number = frames.sequence_number - camera.counter_start
-        return (number % camera.cached_loop_frames) / frame_rate_hz
-    return np.asarray(camera.clock.scene_s(frames.ticks / camera.clock.tick_rate_hz), np.float64)
+        return np.asarray(number % camera.cached_loop_frames / rig["trigger"]["frame_rate_hz"], np.float64)
+    clock, seed = camera.clock, parse_scene(rig.get("scene", {})).seed
+    jitter_s = [float(clock.drawn_jitter_s(seed, name, int(each))[0]) for each in number]
+    return np.asarray(clock.scene_s(frames.ticks / clock.tick_rate_hz - np.array(jitter_s)), np.float64)
 
 
-def _exposures(frames: FrameTable, camera: CameraSettings, rig: dict[str, Any]) -> Exposures:
+def _exposures(frames: FrameTable, name: str, camera: CameraSettings, rig: dict[str, Any]) -> Exposures:
     number = frames.sequence_number - camera.counter_start
     if camera.cached_loop_frames:
         index = number % camera.cached_loop_frames
     else:
         index = np.where(frames.trigger_index >= 0, frames.trigger_index, number)
-    time_s = exposure_times(frames, camera, rig["trigger"]["frame_rate_hz"])
+    time_s = exposure_times(frames, name, camera, rig)
     frozen = (frames.flags & int(FrameFlag.SHUTTER)) != 0
     return Exposures(index, np.where(frozen, np.nan, time_s))
 
