@@ -43,7 +43,14 @@ def show(rig_file: RigFile, scene: SceneFile = None) -> None:
 
 
 @app.command()
-def check(rig_file: RigFile, scene: SceneFile = None, as_json: AsJson = False) -> None:
+def check(
+    rig_file: RigFile,
+    scene: SceneFile = None,
+    defaults: Annotated[
+        bool, typer.Option("--defaults", help="Show the settings that the rig file leaves to the device too.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """Open every device, show what it applied, and say what does not fit (then exit with 3)."""
     from thermacq.plugins import plugins
     from thermacq.rig import load_rig
@@ -68,14 +75,14 @@ def check(rig_file: RigFile, scene: SceneFile = None, as_json: AsJson = False) -
         )
     else:
         for report in reports:
-            _show_device(report)
+            _show_device(report, defaults)
         _show_load(rig, load, machine)
         _show_findings(findings)
     if any(finding.severity == "error" for finding in findings):
         raise typer.Exit(EXIT_FINDINGS)
 
 
-def _show_device(report: DeviceReport) -> None:
+def _show_device(report: DeviceReport, with_defaults: bool) -> None:
     from rich.markup import escape
 
     from thermacq.rig.inspection import flat
@@ -89,9 +96,11 @@ def _show_device(report: DeviceReport) -> None:
         in_force = f"{applied[key]!r}" if key in applied else "not applied"
         note = "" if applied.get(key) == asked else f"  (asked for {asked!r})"
         out.print(f"  {escape(f'{key} = {in_force}{note}')}")
-    defaults = [f"{key} {value}" for key, value in applied.items() if key not in requested]
-    if defaults:
-        out.print(f"  [dim]by default: {escape(', '.join(defaults))}[/]")
+    defaults = [f"{key} = {value!r}" for key, value in applied.items() if key not in requested]
+    if defaults and not with_defaults:
+        out.print(f"  [dim]{len(defaults)} settings by default; --defaults shows them[/]")
+    for setting in defaults if with_defaults else ():
+        out.print(f"  [dim]{escape(setting)}[/]")
     if report.capabilities:
         facts = ", ".join(f"{key} {_plain(value)}" for key, value in asdict(report.capabilities).items())
         out.print(f"  [dim]can: {escape(facts)}[/]")
