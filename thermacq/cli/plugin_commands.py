@@ -35,7 +35,10 @@ def _make(name: str) -> Any:
     if command is None:
         return None
     try:
-        made = typer.main.get_command(command.make())
+        app = command.make()
+        # Help looks the same for all commands.
+        app.rich_markup_mode = None
+        made = typer.main.get_command(app)
         made.name = name
     except KeyboardInterrupt:
         raise
