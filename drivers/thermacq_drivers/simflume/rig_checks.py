@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from thermacq.devices import TriggerMode
+from thermacq.errors import RigError
 from thermacq.hooks import RigFinding
 from thermacq.rig import Rig
 from thermacq_drivers.simflume.camera import CameraSettings
+from thermacq_drivers.simflume.gauges import check_place
 from thermacq_drivers.simflume.probe import ProbeSettings
+from thermacq_drivers.simflume.settings import SceneSettings, parse_scene
 from thermacq_drivers.simflume.trigger import TriggerSettings
 
 
@@ -53,11 +56,23 @@ def _pulsed_line(rig: Rig) -> str:
     return TriggerSettings.model_validate(source.settings).line
 
 
+def _scene(rig: Rig) -> SceneSettings:
+    """The rig's scene; the devices themselves complain of an impossible one."""
+    try:
+        return parse_scene(rig.scene)
+    except RigError:
+        return SceneSettings()
+
+
 def _check_probes(rig: Rig) -> Iterator[RigFinding]:
     for name, table in rig.probes.items():
         if table.driver != "sim-probe":
             continue
         settings = ProbeSettings.model_validate(table.settings)
+        try:
+            check_place(_scene(rig), settings.x_m, settings.y_m, settings.reach_m)
+        except ValueError as error:
+            yield RigFinding("error", f"simulated probe '{name}': {error}")
         if settings.line and settings.line != _pulsed_line(rig):
             message = f"simulated probe '{name}' listens to line '{settings.line}', which nobody pulses"
             yield RigFinding("error", message)
