@@ -139,3 +139,31 @@ def truth(
     Console(stderr=True, highlight=False, soft_wrap=True).print(
         f"wrote {output}: surface {facts['surface']['kind']}"
     )
+
+
+@app.command()
+def validate(
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder like `docs` for the validation page and its pictures."),
+    ] = None,
+) -> None:
+    """Check the simulator against formulas and published values; status 3 when a check does not hold."""
+    from rich.console import Console
+
+    from thermacq_drivers.simflume.validation import run_checks, write_page
+    from thermacq_drivers.simflume.validation_water import failed
+
+    err = Console(stderr=True, highlight=False, soft_wrap=True)
+    checks = run_checks(tell=lambda topic: err.print(f"checking {topic}"))
+    every = [check for some in checks.values() for check in some]
+    out = Console(highlight=False, soft_wrap=True, markup=False)
+    for check in every:
+        known = f"{check.found:.5g} {check.unit}, known {check.known:.5g} +- {check.tolerance:.2g}"
+        out.print(f"{'holds' if check.holds else 'FAILS'}  {check.name}: {known}")
+    for path in write_page(checks, output) if output else []:
+        err.print(f"wrote {path}")
+    wrong = failed(every)
+    out.print(f"{len(every) - len(wrong)} of {len(every)} checks hold")
+    if wrong:
+        raise typer.Exit(3)

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_erosion, map_coordinates
+from scipy.ndimage import binary_dilation, binary_erosion, map_coordinates, spline_filter
 
 from thermacq_drivers.simflume.cases import TABLE_II
 from thermacq_drivers.simflume.correspondence import CYLINDER, Correspondence, correspondence
@@ -142,33 +142,36 @@ def warp_checks() -> list[Check]:
     not the same in both pictures.
     """
     return [
-        Check(f"warped by the true disparity, {name}", "K", 0.0, float(difference.std()), WARP_TOLERANCE_K)
+        Check(f"warped by the true disparity, {name}", "K", 0.0, deviation, WARP_TOLERANCE_K)
         for name, scene in WARPED_SCENES.items()
-        for difference in [warped_difference(scene)]
+        for deviation in warped_deviations(scene)
     ]
 
 
-def warped_difference(scene: dict[str, Any], shift_px: float = 0.0) -> Floats:
-    """Left minus warped right picture in kelvin, (pixels,) of water that both cameras see.
+def warped_deviations(scene: dict[str, Any], shifts_px: Sequence[float] = (0.0,)) -> list[float]:
+    """Standard deviation in kelvin of the left minus the warped right picture, of water that both see.
 
-    `shift_px` is added to the true disparity, to show how much a wrong one matters.
+    Each of `shifts_px` in turn is added to the true disparity, to show how much a wrong one matters.
     """
     settings = parse_scene(scene)
     left, right = next(sight_pairs(settings))
     seen = [WaterView(settings, sight.camera).temperature(_TIME_S, 0) for sight in (left, right)]
     truth = correspondence(left, right.camera, _TIME_S)
-    place = [truth.row_px, truth.column_px - shift_px]
-    warped = map_coordinates(seen[1].astype(np.float64), place, order=5)
     edges = binary_dilation(right.depth(_TIME_S)[1], iterations=_EDGE_PX).astype(np.float64)
     compared = (
         ~truth.occluded & ~truth.outside & ~binary_dilation(truth.seen == CYLINDER, iterations=_EDGE_PX)
     )
-    compared &= map_coordinates(edges, place, order=1) == 0
+    compared &= map_coordinates(edges, [truth.row_px, truth.column_px], order=1) == 0
     compared &= _inside(truth.row_px, truth.column_px, left)
     rows, columns = np.mgrid[0 : left.camera.rows, 0 : left.camera.columns].astype(np.float64)
     compared &= _inside(rows, columns, left)
-    difference: Floats = (seen[0] - warped)[compared]
-    return difference
+    coefficients = spline_filter(seen[1].astype(np.float64), order=5)
+    row_px, column_px = truth.row_px[compared], truth.column_px[compared]
+    deviations = []
+    for shift_px in shifts_px:
+        warped = map_coordinates(coefficients, [row_px, column_px - shift_px], order=5, prefilter=False)
+        deviations.append(float((seen[0][compared] - warped).std()))
+    return deviations
 
 
 def _inside(row_px: Floats, column_px: Floats, sight: Sight) -> NDArray[np.bool_]:
