@@ -156,12 +156,12 @@ class CylinderWave:
 
     @property
     def highest_m(self) -> float:
-        """Upper bound of the elevation: the largest sum of the harmonics' amplitudes."""
+        """Highest elevation at any place and time."""
         return self._table.highest_m
 
     @property
     def steepest(self) -> float:
-        """Upper bound of the slope, like `highest_m`."""
+        """Steepest slope at any place and time."""
         return self._table.steepest
 
     def elevation(self, x_m: Floats, y_m: Floats, time_s: Floats | float) -> Floats:

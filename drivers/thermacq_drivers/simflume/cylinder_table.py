@@ -29,6 +29,11 @@ _OUTSIDE = 0.8
 # Behind the walls of the flume the table only has to continue smoothly; see `_table_field`.
 
 
+_PHASES = 72
+_BETWEEN_PHASES = 1.005
+# The highest and the steepest moment of a period may lie between those looked at.
+
+
 @dataclass(frozen=True, eq=False)
 class DiffractionTable:
     """Spline coefficients (3, harmonics, radii, angles) of F, dF/dx, dF/dy for y >= 0."""
@@ -60,10 +65,10 @@ def tabulate(wave: RegularWave, radius_m: float, width_m: float | None) -> Diffr
     """Diffract each harmonic of a wave and tabulate it; see `diffraction.solve_diffraction` for what it raises."""
     count = max(j for j, a in enumerate(wave.elevation_series) if j < 2 or abs(a) > _NEGLIGIBLE_M)
     order = np.arange(1, count + 1)
-    amplitude = np.abs(wave.elevation_series[1 : count + 1])
+    amplitude = np.array(wave.elevation_series[1 : count + 1])
     k = order * wave.wavenumber_rad_m
     # As in `component_sea`: the spline misses cos kx by (kh)^4 / 720.
-    spacing_m = (720 * _SPLINE_ERROR_M / (_LARGEST_FIELD * float(amplitude @ k**4))) ** 0.25
+    spacing_m = (720 * _SPLINE_ERROR_M / (_LARGEST_FIELD * float(np.abs(amplitude) @ k**4))) ** 0.25
     reach_m = max(_REACH_M, 4 * radius_m)
     angles = math.ceil(math.pi / min(_COARSEST, spacing_m / reach_m))
     step = math.pi / angles
@@ -76,7 +81,8 @@ def tabulate(wave: RegularWave, radius_m: float, width_m: float | None) -> Diffr
     water = (radius >= radius_m)[:, None] & np.ones(len(angle), bool)
     if width_m is not None:
         water &= np.abs(np.outer(radius, np.sin(angle))) <= width_m / 2
-    sizes = np.abs(fields) * amplitude[:, None, None]
+    # Every third node is fine enough here, and begins at the wall.
+    highest_m, steepest = _extremes(fields[..., ::3, ::3][..., water[::3, ::3]], amplitude)
     coefficients = [
         ndimage.spline_filter1d(ndimage.spline_filter1d(part, order=3, axis=2), order=3, axis=3)
         for part in (fields.real, fields.imag)
@@ -88,9 +94,21 @@ def tabulate(wave: RegularWave, radius_m: float, width_m: float | None) -> Diffr
         solutions=solutions,
         real=coefficients[0],
         imaginary=coefficients[1],
-        highest_m=float(sizes[0].sum(axis=0)[water].max()),
-        steepest=float(np.hypot(sizes[1], sizes[2]).sum(axis=0)[water].max()),
+        highest_m=highest_m,
+        steepest=steepest,
     )
+
+
+def _extremes(fields: Complexes, amplitude_m: Floats) -> tuple[float, float]:
+    """Highest elevation and steepest slope at any time, of fields (3, harmonics, points) at the water's points."""
+    orders = np.arange(1, len(amplitude_m) + 1)
+    highest_m = steepest = 0.0
+    for phase in 2 * math.pi * np.arange(_PHASES) / _PHASES:
+        factors = amplitude_m * np.exp(-1j * orders * phase)
+        elevation, along, across = np.tensordot(factors, fields, axes=(0, 1)).real
+        highest_m = max(highest_m, float(elevation.max()))
+        steepest = max(steepest, float(np.hypot(along, across).max()))
+    return _BETWEEN_PHASES * highest_m, _BETWEEN_PHASES * steepest
 
 
 def _table_field(solution: Diffraction, radius_m: Floats, angle_rad: Floats) -> Complexes:

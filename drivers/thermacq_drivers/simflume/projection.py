@@ -24,7 +24,7 @@ _STEPS = 50
 _TOLERANCE_M = 1e-12
 _SMALL_PRODUCT = 200_000
 # Multiplications up to which OpenBLAS stays in one thread (it splits above 2^18).
-_GRAZING = 0.15
+_GRAZING = 0.14
 # A ray must be at least this much steeper (vertical per horizontal) than the water, or it may cut it twice.
 
 

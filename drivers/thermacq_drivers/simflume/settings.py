@@ -76,6 +76,10 @@ class TextureSettings(Table):
     def _drawable(self) -> TextureSettings:
         if min(self.lengths_m) < 0.002 or max(self.lengths_m) * self.streakiness > 0.2:
             raise ValueError("lengths_m must lie between 2 mm and 0.2 m / streakiness")
+        if self.rms_k == 0:
+            raise ValueError(
+                "rms_k is 0: water of even temperature has no texture, and nothing in its pictures can be matched"
+            )
         return self
 
 

@@ -10,7 +10,7 @@ from thermacq_drivers.simflume.radiance import apparent_rise
 from thermacq_drivers.simflume.scene import WaterView, build_surface
 from thermacq_drivers.simflume.settings import parse_scene
 
-PLAIN = {"texture": {"rms_k": 0.0}}
+PLAIN = {"texture": {"rms_k": 1e-6}}
 BLACK = {**PLAIN, "surroundings": {"emissivity": 1.0, "ambient_k": 295.0}}
 FLAT = {"misalignment_deg": (0.0, 0.0, 0.0), "distortion": (0.0,) * 5}
 

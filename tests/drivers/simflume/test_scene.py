@@ -91,6 +91,7 @@ def test_two_cameras_see_the_same_water_at_the_same_temperature() -> None:
     [
         ({"sead": 1}, "unknown key 'sead'; did you mean 'seed'?"),
         ({"texture": {"rms": 1}}, "did you mean 'rms_k'?"),
+        ({"texture": {"rms_k": 0}}, "has no texture"),
         ({"surface": {"kind": "regular", "case": "T9"}}, "no case 'T9' in Table II"),
         ({"surface": {"kind": "regular", "period_s": 0.8, "steepness": 0.2}}, "too high"),
         ({"surface": {"kind": "regular", "period_s": 0.8}}, "period_s and steepness"),

@@ -82,9 +82,9 @@ def test_equal_seeds_give_equal_patterns() -> None:
     assert np.abs(sample(ThermalTexture(settings, 6), x, y, 1.0) - first).max() > 0.1
 
 
-def test_no_texture_at_all_is_legal() -> None:
-    flat = ThermalTexture(TextureSettings(rms_k=0.0), 1)
-    assert not sample(flat, np.zeros((3, 1)), np.zeros((1, 3)), 0.0).any()
+def test_no_texture_at_all_is_refused() -> None:
+    with pytest.raises(ValueError, match="nothing in its pictures can be matched"):
+        TextureSettings(rms_k=0.0)
 
 
 STIRRED = {"rms_k": 0.35, "lengths_m": (0.004, 0.01), "streakiness": 2, "stirring_m": 0.012, "eddies_m": 0.03}
