@@ -10,8 +10,8 @@ a gauge sees is a pure function of scene, seed and time:
 - resistance: the elevation at its place;
 - capacitance: the same less ``meniscus_m · tanh(rate / 1 cm/s)``: the meniscus hangs back where the water rises, and
   stays up where it falls;
-- ultrasonic: the mean over a disc at each ping, held until the next one; NaN where the echo is lost, at random or
-  because the water's slope sends it elsewhere.
+- ultrasonic: the mean over a disc at each ping, held until the next one; nothing (NaN) where the echo is lost, at
+  random or because the water's slope sends it elsewhere. Such samples are not delivered: a gap of the sample index.
 
 For a static calibration the gauge is moved in still water: it sees one step after the other, and no waves.
 Left out: wetting that depends on the water's cleanness, spray, the wake of the rods, the speed of sound in air.
@@ -111,6 +111,12 @@ def lost_pings(settings: UltrasonicSettings, seed: int, device: str, pings: np.n
         return np.zeros(len(pings), bool)
     draws = [generator(seed, device, "echo", int(ping)).uniform() for ping in pings]
     return np.array(draws) < settings.dropout_probability
+
+
+def runs(present: np.ndarray) -> list[slice]:
+    """Stretches of samples that are there, of (samples,) bool."""
+    edges = np.flatnonzero(np.diff(present, prepend=False, append=False))
+    return [slice(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
 
 
 def check_place(scene: SceneSettings, x_m: float, y_m: float, reach_m: float) -> None:

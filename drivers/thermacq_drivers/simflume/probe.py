@@ -136,7 +136,7 @@ class SimulatedProbe:
         self._is_armed = True
 
     def samples(self, host: StreamHost) -> Iterator[SampleBlock]:
-        """Yield blocks of 0.1 s, and act out the faults that the settings order."""
+        """Yield blocks of 0.1 s, less what was lost, and act out the faults that the settings order."""
         if not self._is_armed:
             raise self._fault(DeviceFault, "acquire", "it is not armed")
         settings = self._settings
@@ -145,6 +145,7 @@ class SimulatedProbe:
             now_s = self._scene_time.seconds(self._clock.now_ns())
             self._first_reading_s = max(0.0, settings.clock.reading_s(now_s))
         size = max(1, round(_BLOCK_S * settings.sample_rate_hz))
+        pulses: NDArray[np.int64] = np.empty(0, np.int64)
         while self._is_armed:
             elapsed_s = (self._next_sample + np.arange(size)) / settings.sample_rate_hz
             readings_s = self._first_reading_s + elapsed_s
@@ -156,11 +157,15 @@ class SimulatedProbe:
             self._act_out_faults(float(elapsed_s[-1]), host)
             if host.stopping():
                 return
-            values = self._volts(self._seen_m(surface, times_s), times_s, elapsed_s)
-            pulses = self._pulses_until(float(times_s[-1]), host)
+            seen_m = self._seen_m(surface, times_s)
+            values = self._volts(seen_m, times_s, elapsed_s)
+            pulses = np.append(pulses, self._pulses_until(float(times_s[-1]), host))
             first, self._next_sample = self._next_sample, self._next_sample + size
             ticks = np.rint(readings_s * settings.clock.tick_rate_hz).astype(np.int64)
-            yield SampleBlock(values, ticks, first, self._clock.now_ns(), pulses)
+            for part in gauges.runs(np.isfinite(seen_m)):
+                now_ns = self._clock.now_ns()
+                yield SampleBlock(values[part], ticks[part], first + part.start, now_ns, pulses)
+                pulses = np.empty(0, np.int64)
 
     def disarm(self) -> None:
         """Stop sampling."""

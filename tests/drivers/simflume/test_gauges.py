@@ -28,13 +28,20 @@ CYLINDER = {"cylinder": {"x_m": 0.42, "y_m": -0.03, "radius_m": 0.06}}
 
 
 def readings_m(context: DeviceContext, host: Any, seconds: float, **settings: Any) -> tuple[Any, Any]:
-    """Times of the scene and readings in metres of a probe without noise, both (samples,)."""
+    """Times of the scene and readings in metres of a probe without noise, both (samples,); NaN: a gap."""
     probe = SimulatedProbe(context)
     probe.open()
     probe.configure({"noise_m": 0.0, "volts_per_m": 10.0, **settings})
     probe.arm()
     stream = probe.samples(host)
-    values = np.concatenate([next(stream).values[:, 0] for _ in range(round(seconds * 10))])
+    values = np.full(round(seconds * RATE_HZ), np.nan)
+    for block in stream:
+        assert np.isfinite(block.values).all()
+        np.testing.assert_array_equal(np.diff(block.ticks), 1e6 / RATE_HZ)
+        left = values[block.first_index :]
+        left[: len(block.values)] = block.values[: left.size, 0]
+        if len(block.values) >= left.size:
+            break
     probe.close()
     return np.arange(values.size) / RATE_HZ, values / 10.0
 
