@@ -145,7 +145,12 @@ def truth(
 def validate(
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder like `docs` for the validation page and its pictures."),
+        typer.Option(
+            "--output",
+            "-o",
+            file_okay=False,
+            help="Folder like `docs` for the validation page and its pictures.",
+        ),
     ] = None,
 ) -> None:
     """Check the simulator against formulas and published values; status 3 when a check does not hold."""
