@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from thermacq_drivers.simflume.surfaces import Floats
 
-SPACING_PX = 7
+SPACING_PX = 6
 _POINTS = 6
 _WHOLE = slice(None)
 

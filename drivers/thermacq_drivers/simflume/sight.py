@@ -32,9 +32,9 @@ _MENISCUS_M = 0.024
 # Beyond this the meniscus of 1 mm is lower than 0.2 µm.
 _HIDDEN_M = 0.01
 _LEVELS = 13
-_STEPS = 60
+_STEPS = 8
+_HALVINGS = 30
 _NEWTON_STEPS = 3
-_FULL_STEPS = 10
 _TOLERANCE_M = 1e-9
 _INSIDE_TOLERANCE_M = 1e-6
 _DEEP_INSIDE = 0.6
@@ -188,6 +188,7 @@ class Sight:
         else:
             self.grid = LocalGrid(camera.rows, camera.columns)
         self.rays = camera.rays(self.grid.nodes_px)
+        self._levels_m = self.surface.highest_m, -2 * self.surface.highest_m  # no water is higher or lower
         self._line_time_s = line_time_s
         self._delay_s = row_delay_s(self.grid.nodes_px, line_time_s)
 
@@ -226,25 +227,37 @@ class Sight:
 
     def _intersect_outside(self, cylinder: CylinderSettings, time_s: Floats | float) -> Floats:
         """Like `intersect`, but deep inside the cylinder any depth will do."""
-        centre, rays, surface = self.camera.centre_m, self.rays, self.surface
-        depth: Floats = -centre[2] / rays[..., 2]
-        lowest = (-1.5 * surface.highest_m - centre[2]) / rays[..., 2]
-        highest = (surface.highest_m - centre[2]) / rays[..., 2]
+        along, across, down = (np.ascontiguousarray(part) for part in np.moveaxis(self.rays, -1, 0))
+        x0, y0, z0 = self.camera.centre_m
+        depth: Floats = -z0 / down
+        nearest, farthest = ((level_m - z0) / down for level_m in self._levels_m)
         for step in range(_STEPS):
-            x, y, z = np.moveaxis(centre + depth[..., None] * rays, -1, 0)
-            gap = z - surface.elevation(x, y, time_s)
-            # After some steps of Newton's method the slope is good enough to be kept.
-            if step < _NEWTON_STEPS:
-                slope_x, slope_y = surface.slope(x, y, time_s)
-                descent = rays[..., 2] - slope_x * rays[..., 0] - slope_y * rays[..., 1]
-            # Rays that end inside the cylinder may jump to and fro: half steps calm them.
-            change = gap / descent if step < _FULL_STEPS else 0.5 * gap / descent
-            depth = np.clip(depth - change, highest, lowest)
+            x, y = x0 + depth * along, y0 + depth * across
+            gap = z0 + depth * down - self.surface.elevation(x, y, time_s)
             radius = np.hypot(x - cylinder.x_m, y - cylinder.y_m) / cylinder.radius_m
             tolerance = np.where(radius > 1, _TOLERANCE_M, _INSIDE_TOLERANCE_M)
-            if np.all((np.abs(gap) < tolerance) | (radius < _DEEP_INSIDE)):
+            open_ = (np.abs(gap) > tolerance) & (radius > _DEEP_INSIDE)
+            if not open_.any():
                 return depth
-        raise ValueError("some rays of the camera do not meet the water")
+            # After some steps of Newton's method the slope is good enough to be kept.
+            if step < _NEWTON_STEPS:
+                slope_x, slope_y = self.surface.slope(x, y, time_s)
+                descent = down - slope_x * along - slope_y * across
+            depth = np.clip(depth - gap / descent, nearest, farthest)
+        self._bisect(depth, open_, time_s)
+        return depth
+
+    def _bisect(self, depth: Floats, which: NDArray[np.bool_], time_s: Floats | float) -> None:
+        """Set depths of rays that Newton's method throws to and fro where the water inside the cylinder is folded."""
+        rays, (x0, y0, z0) = self.rays[which], self.camera.centre_m
+        read_s = time_s if np.ndim(time_s) == 0 else np.broadcast_to(time_s, which.shape)[which]
+        high, low = ((level_m - z0) / rays[:, 2] for level_m in self._levels_m)
+        for _ in range(_HALVINGS):
+            middle = (high + low) / 2
+            x, y = x0 + middle * rays[:, 0], y0 + middle * rays[:, 1]
+            above = z0 + middle * rays[:, 2] > self.surface.elevation(x, y, read_s)
+            high, low = np.where(above, middle, high), np.where(above, low, middle)
+        depth[which] = (high + low) / 2
 
     def front(self, water: Water, time_s: float) -> Front | None:
         """What the part of the picture shows that has the cylinder in it; `time_s` as for `read_s`."""

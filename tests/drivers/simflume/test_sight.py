@@ -183,6 +183,22 @@ def test_true_disparity_warps_water_and_cylinder(upstream: Pair) -> None:
     assert abs(strips @ slope) / (slope @ slope) < 0.02
 
 
+@pytest.mark.parametrize("radius_m", [0.02, 0.2])
+@pytest.mark.parametrize("case", ["T0.791-H1/10", "T1.186-H1/16"])
+def test_every_moment_of_every_wave_can_be_drawn(
+    case: str, radius_m: float, small_mounting: Callable[..., Mounting]
+) -> None:
+    scene = {"surface": {"kind": "regular", "case": case}, "cylinder": {"radius_m": radius_m, "x_m": 0.5}}
+    settings = parse_scene(scene)
+    sight = build_sight(settings, build_surface(settings), build_camera(small_mounting()))
+    for time_s in np.linspace(0, 1.2, 12):
+        water = sight.water(float(time_s))
+        x, y, z = np.moveaxis(water.points_m, -1, 0)
+        outside = np.hypot(x - 0.5, y + 0.03) > 1.01 * radius_m
+        gap = (z - sight.surface.elevation(x, y, float(time_s)))[outside]
+        assert np.abs(gap).max() < 1e-8
+
+
 def test_rays_meet_wall_and_top() -> None:
     cylinder = CylinderSettings(x_m=0.0, y_m=0.0, radius_m=0.1, top_m=0.3)
     centre = np.array([-1.0, 0.0, 0.5])
