@@ -78,8 +78,8 @@ def test_ready_scenes_can_be_seen(name: str, small: dict[str, Any]) -> None:
         check_scene(settings, mounting)
         seen = build_view(settings, mounting).temperature(0.4, 0)
         assert np.isfinite(seen).all()
-        # The lamps are mirrored where they are meant to be, and only there.
-        assert (seen.max() > 320) == (name == "lamp-reflection")
+        # The lamps are mirrored where they are meant to be; elsewhere there are a few glints at most.
+        assert (np.mean(seen > 310) > 0.001) == (name == "lamp-reflection")
 
 
 def test_textures_are_rich_and_poor_as_their_scenes_say(small: dict[str, Any]) -> None:
