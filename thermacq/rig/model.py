@@ -12,8 +12,8 @@ from thermacq.devices import TriggerMode
 
 def _device_name(name: str) -> str:
     """Names of devices become names of groups in the run file and of processes."""
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,31}", name):
-        raise ValueError("a device name is a letter, then at most 31 letters, digits, '_' or '-'")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", name):
+        raise ValueError("a device name is a letter, then at most 31 letters, digits or '_'")
     return name
 
 
