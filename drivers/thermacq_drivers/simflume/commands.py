@@ -4,12 +4,24 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
+
+
+class SceneFirst(TyperGroup):
+    """Lets ``simulate SCENE.toml ...`` stand for ``simulate run SCENE.toml ...``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take a scene file in the place of a command for a run of it."""
+        return super().parse_args(ctx, ["run", *args] if args and args[0].endswith(".toml") else args)
+
 
 app = typer.Typer(
-    help="The simulated flume: ready rigs and scenes, and the truth about its runs.", no_args_is_help=True
+    cls=SceneFirst,
+    help="The simulated flume: rigs, scenes, runs (`simulate SCENE.toml -o RUN`), and the truth about them.",
+    no_args_is_help=True,
 )
 
 

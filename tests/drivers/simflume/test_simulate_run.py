@@ -51,6 +51,15 @@ def test_what_is_not_there_is_refused_before_anything_is_recorded(tmp_path: Path
     assert not run.exists()
 
 
+def test_a_scene_file_in_the_place_of_a_command_is_run(tmp_path: Path) -> None:
+    (tmp_path / "storm.toml").write_text("wind = 12\n")
+    command = [sys.executable, "-m", "thermacq", "simulate", "storm.toml", "-o", "run.h5", "--frames", "3"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "wind" in done.stderr
+    assert not (tmp_path / "run.h5").exists()
+
+
 @pytest.mark.slow
 def test_a_scene_file_with_its_truth(tmp_path: Path) -> None:
     scene, run, truth = tmp_path / "waves.toml", tmp_path / "run.h5", tmp_path / "truth.nc"
