@@ -325,7 +325,9 @@ def _svg(figure: Figure, prefix: str) -> str:
 
 def _png(figure: Figure) -> str:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, facecolor="white", bbox_inches="tight")
+    # Where a surface has holes, matplotlib projects vertices that it never set before it masks them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        figure.savefig(buffer, format="png", dpi=150, facecolor="white", bbox_inches="tight")
     return _data_address(buffer.getvalue())
 
 
