@@ -165,3 +165,19 @@ def test_role_never_hands_on_a_name():
     assert figures.role("truth (simulated) at probe $x$") == "truth"
     assert figures.role("probe $\\frac{$") == "probe"
     assert figures.role("<b>") == "series"
+
+
+def test_holes_in_a_surface_warn_of_nothing_whatever_unset_memory_holds(full_data, monkeypatch):
+    empty = np.empty
+
+    def unlucky(*arguments, **options):
+        made = empty(*arguments, **options)
+        if made.dtype == float:
+            made.fill(1e308)
+        return made
+
+    eta_m = full_data.surface.eta_m.copy()
+    eta_m[::7, ::5] = np.nan
+    monkeypatch.setattr(np, "empty", unlucky)
+    # Warnings are errors here.
+    assert figures.surface_3d(replace(full_data.surface, eta_m=eta_m)).startswith("data:image/png")
