@@ -20,6 +20,8 @@ from enum import IntFlag, StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
+from thermacq.transports import RealTransports, Transports
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -84,12 +86,15 @@ class DeviceContext:
         The rig's ``[scene]`` table: what simulated devices look at. Real devices ignore it.
     runtime_dir
         Private directory shared by the devices of one recording (simulated trigger lines live there).
+    transports
+        How the driver reaches USB, serial ports and video nodes: really, or those of an emulator.
     """
 
     name: str
     clock: Clock
     scene: Settings = field(default_factory=dict)
     runtime_dir: Path = Path()
+    transports: Transports = field(default_factory=RealTransports)
 
 
 @dataclass(frozen=True)

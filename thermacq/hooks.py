@@ -7,6 +7,7 @@ by `hookimpl`. Built-in drivers and matchers use the same door. This module impo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pluggy
 
 from thermacq.devices import Device, DeviceContext, DeviceIdentity, DeviceKind, Settings
+from thermacq.transports import Transports
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
     from thermacq.errors import DeviceFault
     from thermacq.rig import Rig
+    from thermacq.timing.clock import Clock
 
 GROUP = "thermacq"
 hookspec = pluggy.HookspecMarker(GROUP)
@@ -39,7 +42,7 @@ class Evidence(StrEnum):
     HARDWARE = "hardware"
 
 
-def _nothing_found() -> Sequence[DeviceIdentity]:
+def _nothing_found(_transports: Transports) -> Sequence[DeviceIdentity]:
     return ()
 
 
@@ -74,8 +77,89 @@ class Driver:
     evidence: Evidence
     make: Callable[[DeviceContext], Device]
     settings: Callable[[], type[BaseModel]]
-    discover: Callable[[], Sequence[DeviceIdentity]] = _nothing_found
+    discover: Callable[[Transports], Sequence[DeviceIdentity]] = _nothing_found
     faults: Mapping[type[DeviceFault], Settings] = field(default_factory=dict, hash=False)
+
+
+@dataclass(frozen=True)
+class Emulation:
+    """What the host tells an emulator: the name, clock and private folder of the device that it plays.
+
+    Trigger lines (`thermacq.timing.trigger_line`) in `runtime_dir` are the trigger bus that the emulated
+    devices of one recording share.
+    """
+
+    name: str
+    clock: Clock
+    runtime_dir: Path
+    settings: Settings = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Emulator:
+    """Plays the hardware of one driver on the far side of the driver's own transport library.
+
+    Parameters
+    ----------
+    driver
+        Name of the driver whose device it plays.
+    summary
+        One line: what is played.
+    settings
+        Returns the pydantic model of its settings (rig table ``[emulation.DEVICE]``), faults among them.
+    attach
+        Brings the device to life and hands out the transports through which it is reached; leaving the
+        context takes it away. Used in the process of the device.
+    faults
+        Settings of the emulator that make it act out a fault, for the conformance suite.
+    driver_settings
+        Settings of the driver with which the conformance suite tests it, for drivers that need some.
+    """
+
+    driver: str
+    summary: str
+    settings: Callable[[], type[BaseModel]]
+    attach: Callable[[Emulation], AbstractContextManager[Transports]]
+    faults: Mapping[type[DeviceFault], Settings] = field(default_factory=dict, hash=False)
+    driver_settings: Settings = field(default_factory=dict, hash=False)
+
+    @property
+    def name(self) -> str:
+        """Emulators are found by the driver that they serve."""
+        return self.driver
+
+
+class PictureCorrection(Protocol):
+    """One correction of one camera's pictures, with whatever state it needs between them."""
+
+    def __call__(self, picture: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Correct a picture.
+
+        Parameters
+        ----------
+        picture
+            (rows, columns) float32, counts after non-uniformity, bad pixels and shading were corrected;
+            it may be changed in place.
+
+        Returns
+        -------
+        numpy.ndarray
+            (rows, columns) float32, counts.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class CorrectionStage:
+    """A correction that can be named after the built-in ones, e.g. destriping.
+
+    ``make(settings)`` makes one for one camera; pictures come in the order of time.
+    """
+
+    name: str
+    summary: str
+    settings: Callable[[], type[BaseModel]]
+    make: Callable[[BaseModel], PictureCorrection]
 
 
 class DisparityMatcher(Protocol):
@@ -172,6 +256,16 @@ class Truth:
 @hookspec
 def thermacq_drivers() -> Sequence[Driver]:  # type: ignore[empty-body]
     """Drivers that this plugin brings."""
+
+
+@hookspec
+def thermacq_emulators() -> Sequence[Emulator]:  # type: ignore[empty-body]
+    """Emulated devices that this plugin brings."""
+
+
+@hookspec
+def thermacq_correction_stages() -> Sequence[CorrectionStage]:  # type: ignore[empty-body]
+    """Corrections of pictures that this plugin brings."""
 
 
 @hookspec

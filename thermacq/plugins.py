@@ -20,7 +20,17 @@ import pluggy
 from thermacq import hooks
 from thermacq.devices import DeviceKind
 from thermacq.errors import PluginError, ThermacqError
-from thermacq.hooks import Command, Driver, Exporter, Matcher, RigFinding, Truth, TruthRequest
+from thermacq.hooks import (
+    Command,
+    CorrectionStage,
+    Driver,
+    Emulator,
+    Exporter,
+    Matcher,
+    RigFinding,
+    Truth,
+    TruthRequest,
+)
 
 if TYPE_CHECKING:
     from thermacq.rig import Rig
@@ -28,7 +38,7 @@ if TYPE_CHECKING:
 ALLOW_VARIABLE = "THERMACQ_PLUGINS_ALLOW"
 BLOCK_VARIABLE = "THERMACQ_PLUGINS_BLOCK"
 
-_Named = TypeVar("_Named", Driver, Matcher, Exporter, Command)
+_Named = TypeVar("_Named", Driver, Emulator, CorrectionStage, Matcher, Exporter, Command)
 
 
 @dataclass(frozen=True)
@@ -123,6 +133,22 @@ class Plugins:
             There is no such driver of that kind; the message names the nearest.
         """
         return _pick(self.drivers(kind), name, f"{kind.value.replace('_', ' ') if kind else 'device'} driver")
+
+    def emulators(self) -> dict[str, Emulator]:
+        """All emulators by the name of the driver that they serve."""
+        return self._by_name("thermacq_emulators", Emulator)
+
+    def emulator(self, driver: str) -> Emulator:
+        """The emulator of a driver's device; raises `PluginError` like `driver`."""
+        return _pick(self.emulators(), driver, "emulator for a driver")
+
+    def correction_stages(self) -> dict[str, CorrectionStage]:
+        """All correction stages by name."""
+        return self._by_name("thermacq_correction_stages", CorrectionStage)
+
+    def correction_stage(self, name: str) -> CorrectionStage:
+        """One correction stage; raises `PluginError` like `driver`."""
+        return _pick(self.correction_stages(), name, "correction stage")
 
     def matchers(self) -> dict[str, Matcher]:
         """All matchers by name."""

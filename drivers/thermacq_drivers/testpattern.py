@@ -29,6 +29,7 @@ from thermacq.devices import (
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceOverrun, DeviceTimeout, IncompleteFrame
 from thermacq.hooks import Driver, Evidence
 from thermacq.settings import check_settings
+from thermacq.timing.trigger_line import LineReader
 from thermacq_drivers.simflume.exposures import (
     ExposureSource,
     FreeRun,
@@ -36,7 +37,6 @@ from thermacq_drivers.simflume.exposures import (
     SoftwareTriggers,
     sleep_until,
 )
-from thermacq_drivers.simflume.line import LineReader
 
 MAX_FRAME_RATE_HZ = 1000.0
 

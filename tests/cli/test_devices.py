@@ -16,10 +16,10 @@ SOURCE = """
 from thermacq.devices import DeviceIdentity, DeviceKind
 from thermacq.hooks import Driver, Evidence, hookimpl
 
-def _found():
+def _found(transports):
     return [DeviceIdentity("lab-camera", "Lab [M1]", "S1")]
 
-def _broken():
+def _broken(transports):
     raise OSError("no bus [3]")
 
 @hookimpl

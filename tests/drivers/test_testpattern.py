@@ -14,7 +14,7 @@ from thermacq.devices import Counts, DeviceContext, Frame, TriggerMode
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceOverrun, DeviceTimeout, IncompleteFrame
 from thermacq.store import encode_frame
 from thermacq.timing import RealClock, VirtualClock
-from thermacq_drivers.simflume.line import LineWriter
+from thermacq.timing.trigger_line import LineWriter
 from thermacq_drivers.testpattern import DRIVER, MAX_FRAME_RATE_HZ, PatternCamera, check_pattern
 
 

@@ -322,7 +322,7 @@ def test_a_discovery_that_raises_fails():
     with pytest.raises(Nonconformity, match="return an empty list when nothing is there"):
         lifecycle.discovery(subject(discover=raising(OSError("no bus")).__get__(DRIVER)))
     with pytest.raises(Nonconformity, match="list DeviceIdentity records"):
-        lifecycle.discovery(subject(discover=lambda: ["camera 1"]))
+        lifecycle.discovery(subject(discover=lambda transports: ["camera 1"]))
 
 
 @pytest.mark.parametrize(

@@ -45,13 +45,14 @@ def devices(as_json: AsJson = False) -> None:
     from rich.table import Table
 
     from thermacq import plugins as loaded
+    from thermacq.transports import RealTransports
 
     rows: list[dict[str, Any]] = []
     for driver in loaded.plugins().drivers().values():
         found: list[dict[str, Any]] = []
         error = ""
         try:
-            found = [asdict(identity) for identity in driver.discover()]
+            found = [asdict(identity) for identity in driver.discover(RealTransports())]
         except Exception as problem:
             error = f"{type(problem).__name__}: {problem}"
         rows.append(

@@ -21,6 +21,7 @@ from thermacq.devices import (
 )
 from thermacq.testing.bench import Nonconformity, Subject, demand
 from thermacq.testing.streams import begin, run_briefly
+from thermacq.transports import RealTransports
 
 SETTLE_S = 2.0
 _PROTOCOLS = {
@@ -49,7 +50,7 @@ def identity(subject: Subject) -> None:
 def discovery(subject: Subject) -> None:
     """`discover` lists identities of this driver and raises nothing."""
     try:
-        found = list(subject.driver.discover())
+        found = list(subject.driver.discover(RealTransports()))
     except Exception as error:
         raise Nonconformity(
             f"discover() raised {type(error).__name__}: {error}: return an empty list when nothing is there"

@@ -26,6 +26,7 @@ from thermacq.devices import (
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceOverrun, DeviceTimeout, IncompleteFrame
 from thermacq.settings import check_settings
 from thermacq.timing import NS_PER_S
+from thermacq.timing.trigger_line import LineReader
 from thermacq_drivers.simflume.bolometer import lagged_temperature
 from thermacq_drivers.simflume.epoch import DeviceClockSettings, SceneTime
 from thermacq_drivers.simflume.exposures import (
@@ -37,7 +38,6 @@ from thermacq_drivers.simflume.exposures import (
     sleep_until,
 )
 from thermacq_drivers.simflume.lens import build_lens
-from thermacq_drivers.simflume.line import LineReader
 from thermacq_drivers.simflume.mounting import Mounting
 from thermacq_drivers.simflume.scene import View, build_view, check_scene
 from thermacq_drivers.simflume.seeds import generator

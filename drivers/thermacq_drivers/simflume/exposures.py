@@ -14,7 +14,7 @@ from typing import Protocol
 
 from thermacq.devices import StreamHost
 from thermacq.timing import NS_PER_S, Clock
-from thermacq_drivers.simflume.line import LineReader
+from thermacq.timing.trigger_line import LineReader
 
 _POLL_NS = 20_000_000
 _LINE_POLL_S = 0.0005

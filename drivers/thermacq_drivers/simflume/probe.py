@@ -26,10 +26,10 @@ from thermacq.devices import (
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
 from thermacq.settings import check_settings
 from thermacq.timing import NS_PER_S
+from thermacq.timing.trigger_line import LineReader
 from thermacq_drivers.simflume import gauges
 from thermacq_drivers.simflume.epoch import DeviceClockSettings, SceneTime
 from thermacq_drivers.simflume.exposures import sleep_until
-from thermacq_drivers.simflume.line import LineReader
 from thermacq_drivers.simflume.scene import build_surface
 from thermacq_drivers.simflume.seeds import generator
 from thermacq_drivers.simflume.settings import SceneSettings, Table, device_scene

@@ -19,8 +19,8 @@ from thermacq.devices import (
 from thermacq.errors import DeviceDisconnected, DeviceFault
 from thermacq.settings import check_settings
 from thermacq.timing import NS_PER_S
+from thermacq.timing.trigger_line import LineWriter
 from thermacq_drivers.simflume.exposures import sleep_until
-from thermacq_drivers.simflume.line import LineWriter
 from thermacq_drivers.simflume.seeds import generator
 from thermacq_drivers.simflume.settings import SceneSettings, Table, device_scene
 

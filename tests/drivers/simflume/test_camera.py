@@ -18,8 +18,8 @@ from thermacq.errors import (
     IncompleteFrame,
 )
 from thermacq.timing import RealClock, VirtualClock
+from thermacq.timing.trigger_line import LineWriter
 from thermacq_drivers.simflume.camera import SimulatedCamera
-from thermacq_drivers.simflume.line import LineWriter
 from thermacq_drivers.simflume.ready_made import scene_toml
 
 MakeContext = Callable[..., DeviceContext]

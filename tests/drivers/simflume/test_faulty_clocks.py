@@ -10,9 +10,9 @@ import pytest
 from pydantic import ValidationError
 
 from thermacq.devices import DeviceContext, TriggerMode
+from thermacq.timing.trigger_line import LineWriter
 from thermacq_drivers.simflume.camera import SimulatedCamera
 from thermacq_drivers.simflume.epoch import DeviceClockSettings
-from thermacq_drivers.simflume.line import LineWriter
 from thermacq_drivers.simflume.trigger import SimulatedTrigger
 
 MakeContext = Callable[..., DeviceContext]

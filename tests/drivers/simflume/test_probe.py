@@ -8,7 +8,7 @@ import pytest
 
 from thermacq.devices import DeviceContext, SampleBlock, WaveProbe
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
-from thermacq_drivers.simflume.line import LineWriter
+from thermacq.timing.trigger_line import LineWriter
 from thermacq_drivers.simflume.probe import SimulatedProbe
 from thermacq_drivers.simflume.scene import build_surface
 from thermacq_drivers.simflume.settings import parse_scene

@@ -11,8 +11,8 @@ import pytest
 from thermacq.devices import DeviceContext, TriggerSource
 from thermacq.errors import DeviceDisconnected, DeviceFault
 from thermacq.timing import RealClock, VirtualClock
+from thermacq.timing.trigger_line import LineReader, LineWriter
 from thermacq_drivers.simflume.epoch import DeviceClockSettings, SceneTime
-from thermacq_drivers.simflume.line import LineReader, LineWriter
 from thermacq_drivers.simflume.trigger import SimulatedTrigger
 
 MakeContext = Callable[..., DeviceContext]

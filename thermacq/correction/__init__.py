@@ -1,0 +1,1 @@
+"""Corrected pictures of a run: raw counts are never altered, corrections are applied on reading."""
