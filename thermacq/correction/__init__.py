@@ -1,1 +1,0 @@
-"""Corrected pictures of a run: raw counts are never altered, corrections are applied on reading."""
