@@ -10,7 +10,18 @@ import sys
 
 import typer
 
-from thermacq.cli import calibration, common, demo, devices, evaluation, reconstruction, recording, rig, store
+from thermacq.cli import (
+    calibrate,
+    calibration,
+    common,
+    demo,
+    devices,
+    evaluation,
+    reconstruction,
+    recording,
+    rig,
+    store,
+)
 from thermacq.cli.plugin_commands import GroupWithPlugins
 
 app = typer.Typer(
@@ -32,7 +43,7 @@ app.command("info")(store.info)
 app.command("verify")(store.verify)
 app.command("recover")(store.recover)
 app.command("import")(store.import_)
-app.command("calibrate")(calibration.calibrate)
+app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(calibration.app, name="calibration")
 app.command("still-water")(reconstruction.still_water)
 app.command("reconstruct")(reconstruction.reconstruct)
