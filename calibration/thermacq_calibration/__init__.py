@@ -1,8 +1,9 @@
 """Pure numerics of calibration: arrays in, frozen records out. Imports nothing of the framework."""
 
+from thermacq_calibration.boards import board_points, check_board
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.judgement import findings
-from thermacq_calibration.models import Board, CameraModel, ViewReport
+from thermacq_calibration.models import Board, BoardKind, CameraModel, ViewReport
 from thermacq_calibration.record import StereoCalibration, load_calibration
 from thermacq_calibration.rectification import (
     Rectification,
@@ -18,13 +19,13 @@ from thermacq_calibration.targets import (
     Detection,
     NoBoard,
     average,
-    check_board,
     detect_board,
 )
 
 __all__ = [
     "FRAMES_TO_AVERAGE",
     "Board",
+    "BoardKind",
     "CalibrationError",
     "CameraModel",
     "Detection",
@@ -36,6 +37,7 @@ __all__ = [
     "ViewReport",
     "apply",
     "average",
+    "board_points",
     "calibrate_stereo",
     "check_board",
     "detect_board",

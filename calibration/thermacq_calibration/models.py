@@ -1,8 +1,9 @@
-"""The parts of a calibration record: camera model, chessboard, and the report on one view."""
+"""The parts of a calibration record: camera model, target, and the report on one view."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -49,13 +50,42 @@ class CameraModel:
         object.__setattr__(self, "distortion", distortion)
 
 
+class BoardKind(StrEnum):
+    """What a target looks like."""
+
+    CHESSBOARD = "chessboard"
+    CIRCLES = "circles"
+    """Asymmetric grid of circles."""
+    CHARUCO = "charuco"
+    """Chessboard with an ArUco marker in every bright square."""
+    MARKED = "marked"
+    """Chessboard with one large ArUco marker in its middle, which hides some corners."""
+
+
 @dataclass(frozen=True)
 class Board:
-    """A chessboard: inner corners along and across, and the side of a square in metres."""
+    """A flat target, most often a chessboard.
+
+    Parameters
+    ----------
+    columns, rows
+        Inner corners along and across; of circles: how many in a row, and how many rows.
+    square_m
+        Side of a square, metres; of circles: distance of rows, which is half the distance within a row.
+    kind
+        What the target looks like.
+    marker_m
+        Side of the black border of its marker(s), metres; 0 without markers.
+    dictionary
+        OpenCV's name of the dictionary of its marker(s), e.g. ``DICT_4X4_50``; empty without markers.
+    """
 
     columns: int
     rows: int
     square_m: float
+    kind: BoardKind = BoardKind.CHESSBOARD
+    marker_m: float = 0.0
+    dictionary: str = ""
 
 
 @dataclass(frozen=True)
@@ -100,8 +130,23 @@ class ViewReport:
 
 
 def board_from(board: Fields) -> Board:
-    """Board of a parsed record."""
-    return Board(board.integer("columns"), board.integer("rows"), board.number("square_m"))
+    """Board of a parsed record; records of plain chessboards do not name the kind."""
+    plain = Board(board.integer("columns"), board.integer("rows"), board.number("square_m"))
+    if board.value("kind") is None:
+        return plain
+    try:
+        kind = BoardKind(board.text("kind"))
+    except ValueError:
+        raise CalibrationError(f"boards of kind '{board.text('kind')}' are not known") from None
+    return replace(plain, kind=kind, marker_m=board.number("marker_m"), dictionary=board.text("dictionary"))
+
+
+def board_dict(board: Board) -> dict[str, Any]:
+    """Plain values of a board; a plain chessboard has no other keys than it always had, so hashes last."""
+    values = {"columns": board.columns, "rows": board.rows, "square_m": board.square_m}
+    if board.kind is BoardKind.CHESSBOARD:
+        return values
+    return {**values, "kind": board.kind.value, "marker_m": board.marker_m, "dictionary": board.dictionary}
 
 
 def camera_from(camera: Fields) -> CameraModel:

@@ -18,13 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermacq_calibration.boards import board_points, check_board
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.models import Board, CameraModel, Float, ViewReport
 from thermacq_calibration.record import StereoCalibration
 from thermacq_calibration.rectification import vertical_differences_px
-from thermacq_calibration.targets import Detection, NoBoard, check_board
+from thermacq_calibration.targets import Detection, NoBoard
 
 MIN_VIEWS = 5
+# Where cameras see parts of a board with markers, a view needs so many corners that both of them see.
+MIN_SHARED_CORNERS = 12
 COVERAGE_CELLS = (8, 6)
 _FOLDS = 5
 # A view is an outlier when its reprojection error, or the difference of its rows after rectification (two
@@ -45,7 +48,10 @@ class View:
 
     @property
     def problem(self) -> str:
-        """Why the view cannot be used; empty when both cameras found the board."""
+        """Why the view cannot be used; empty when both cameras found enough of the board."""
+        if isinstance(self.left, Detection) and isinstance(self.right, Detection):
+            shared = np.intersect1d(self.left.indices, self.right.indices).size
+            return "" if shared >= MIN_SHARED_CORNERS else f"the two pictures share only {shared} corners"
         return "; ".join(
             f"{side}: {found.reason}"
             for side, found in (("left", self.left), ("right", self.right))
@@ -55,11 +61,12 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Corners of a usable view: (n, 2) float64 pixels each."""
+    """Corners of a usable view that both cameras saw: (n, 2) float64 pixels each, (n, 3) metres on the board."""
 
     name: str
     left: Float
     right: Float
+    points: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +117,9 @@ def calibrate_stereo(
     """
     check_board(board)
     pairs = [
-        _Pair(view.name, view.left.corners, view.right.corners)
+        _shared_corners(view.name, view.left, view.right, board)
         for view in views
-        if isinstance(view.left, Detection) and isinstance(view.right, Detection)
+        if isinstance(view.left, Detection) and isinstance(view.right, Detection) and not view.problem
     ]
     if len(pairs) < MIN_VIEWS:
         raise CalibrationError(
@@ -121,9 +128,9 @@ def calibrate_stereo(
             remedy="Record the board in more poses, tilted by 20 to 40 degrees, over the whole picture.",
         )
     progress(f"calibrating with {len(pairs)} views")
-    solution, pairs, outliers = _without_outliers(pairs, board, image_size)
+    solution, pairs, outliers = _without_outliers(pairs, image_size)
     progress("cross-validating")
-    held_out = _held_out_vertical(pairs, board, image_size)
+    held_out = _held_out_vertical(pairs, image_size)
     measured = _measure(solution, pairs, held_out, board)
     reports = tuple(_report(view, measured, outliers) for view in views)
     vertical = _squares_mean([report.vertical_rms_px for report in measured.values()])
@@ -141,11 +148,9 @@ def calibrate_stereo(
     )
 
 
-def board_points(board: Board) -> NDArray[np.float32]:
-    """Inner corners in the board's frame: (rows * columns, 3) float32, metres, z = 0, row by row."""
-    points = np.zeros((board.rows * board.columns, 3), np.float32)
-    points[:, :2] = np.mgrid[0 : board.columns, 0 : board.rows].T.reshape(-1, 2) * board.square_m
-    return points
+def _shared_corners(name: str, left: Detection, right: Detection, board: Board) -> _Pair:
+    shared, in_left, in_right = np.intersect1d(left.indices, right.indices, return_indices=True)
+    return _Pair(name, left.corners[in_left], right.corners[in_right], board_points(board)[shared])
 
 
 def coverage(corners: Sequence[Float], image_size: tuple[int, int]) -> float:
@@ -157,13 +162,13 @@ def coverage(corners: Sequence[Float], image_size: tuple[int, int]) -> float:
 
 
 def _without_outliers(
-    pairs: list[_Pair], board: Board, image_size: tuple[int, int]
+    pairs: list[_Pair], image_size: tuple[int, int]
 ) -> tuple[_Solution, list[_Pair], dict[str, str]]:
     """Calibrate, leave out the view that fits far worse than the others, and repeat until none does."""
     outliers: dict[str, str] = {}
     may_go = min(int(_MAX_OUTLIER_PART * len(pairs)), len(pairs) - MIN_VIEWS)
     while True:
-        solution = _solve(pairs, board, image_size)
+        solution = _solve(pairs, image_size)
         fit = np.sqrt(np.mean(solution.errors_px**2, axis=1))
         rows = np.array([_vertical_rms(solution.calibration, pair) for pair in pairs])
         excess = np.array([fit / _outlier_limit(fit), rows / _outlier_limit(rows)])
@@ -193,11 +198,11 @@ def _moved_reason(errors: Float, index: int) -> str:
     )
 
 
-def _solve(pairs: Sequence[_Pair], board: Board, image_size: tuple[int, int]) -> _Solution:
+def _solve(pairs: Sequence[_Pair], image_size: tuple[int, int]) -> _Solution:
     """Mono calibrations, then the joint one."""
     import cv2
 
-    points = [board_points(board)] * len(pairs)
+    points = [pair.points for pair in pairs]
     left = [pair.left.astype(np.float32) for pair in pairs]
     right = [pair.right.astype(np.float32) for pair in pairs]
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9)
@@ -271,13 +276,13 @@ def _undetermined(detail: str) -> CalibrationError:
     )
 
 
-def _held_out_vertical(pairs: list[_Pair], board: Board, image_size: tuple[int, int]) -> list[float]:
+def _held_out_vertical(pairs: list[_Pair], image_size: tuple[int, int]) -> list[float]:
     """Vertical RMS of each view under a calibration made without it (and without the rest of its fold)."""
     folds = min(_FOLDS, len(pairs))
     held_out = np.zeros(len(pairs))
     for fold in range(folds):
         rest = [pair for index, pair in enumerate(pairs) if index % folds != fold]
-        calibration = _solve(rest, board, image_size).calibration
+        calibration = _solve(rest, image_size).calibration
         for index in range(fold, len(pairs), folds):
             held_out[index] = _vertical_rms(calibration, pairs[index])
     return [float(value) for value in held_out]

@@ -17,7 +17,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.models import Board, Float, frozen_array
 from thermacq_calibration.poses import pixel_noise
 
@@ -39,16 +38,24 @@ class Detection:
     Parameters
     ----------
     corners
-        (rows * columns, 2) float64 pixels (u, v), row by row of the board.
+        (n, 2) float64 pixels (u, v), row by row of the board.
     sharpness_px
         Mean width of the edges of squares, 10 % to 90 %.
     contrast
         Mean difference between light and dark squares, counts.
+    seen
+        (n,) which points of the board the corners are, rising; None: all of them.
     """
 
     corners: Float
     sharpness_px: float
     contrast: float
+    seen: NDArray[np.intp] | None = None
+
+    @property
+    def indices(self) -> NDArray[np.intp]:
+        """(n,) which points of the board (see `boards.board_points`) the corners are."""
+        return np.arange(len(self.corners)) if self.seen is None else self.seen
 
 
 @dataclass(frozen=True)
@@ -56,25 +63,6 @@ class NoBoard:
     """No usable chessboard, and why."""
 
     reason: str
-
-
-def check_board(board: Board) -> None:
-    """Refuse a board whose orientation would not be unique, or which is impossible.
-
-    Raises
-    ------
-    CalibrationError
-        Too few corners, a square that is not positive, or two even or two odd corner counts.
-    """
-    if board.columns < 3 or board.rows < 3:
-        raise CalibrationError(f"a board of {board.columns} x {board.rows} inner corners is too small")
-    if not (np.isfinite(board.square_m) and board.square_m > 0):
-        raise CalibrationError(f"the side of a square must be positive, not {board.square_m} m")
-    if (board.columns + board.rows) % 2 == 0:
-        raise CalibrationError(
-            f"a board of {board.columns} x {board.rows} inner corners looks the same after half a turn",
-            remedy="Count inner corners, not squares; use a board with one even and one odd count.",
-        )
 
 
 def average(frames: NDArray[Any]) -> NDArray[np.float32]:
