@@ -88,6 +88,11 @@ class DeviceContext:
         Private directory shared by the devices of one recording (simulated trigger lines live there).
     transports
         How the driver reaches USB, serial ports and video nodes: really, or those of an emulator.
+    serial
+        Serial number that the rig expects; `open` chooses the device that has it. Empty: any.
+    settings
+        What `configure` will be given, for drivers whose `open` needs to know where the device is (a port,
+        an address) or which of several is meant.
     """
 
     name: str
@@ -95,6 +100,8 @@ class DeviceContext:
     scene: Settings = field(default_factory=dict)
     runtime_dir: Path = Path()
     transports: Transports = field(default_factory=RealTransports)
+    serial: str = ""
+    settings: Settings = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,15 @@ def _live(spec: DeviceSpec, station: Station, block: SharedBlock, recorder: Conn
 
 def _make(spec: DeviceSpec, station: Station) -> Device:
     driver = plugins().driver(spec.driver, spec.kind)
-    device = driver.make(DeviceContext(spec.name, station.clock, spec.scene, spec.runtime_dir))
+    context = DeviceContext(
+        spec.name,
+        station.clock,
+        spec.scene,
+        spec.runtime_dir,
+        serial=spec.serial,
+        settings=spec.settings,
+    )
+    device = driver.make(context)
     if not isinstance(device, _PROTOCOLS[spec.kind]):
         raise DeviceFault(spec.name, "open", f"driver '{spec.driver}' makes no {spec.kind.value}")
     return device

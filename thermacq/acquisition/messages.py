@@ -58,6 +58,7 @@ class DeviceSpec:
     runtime_dir: Path
     recorder_pid: int
     core: int | None = None
+    serial: str = ""
 
 
 @dataclass(frozen=True)

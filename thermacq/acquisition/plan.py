@@ -51,6 +51,7 @@ def device_specs(rig: Rig, runtime_dir: Path) -> list[DeviceSpec]:
                 runtime_dir=runtime_dir,
                 recorder_pid=os.getpid(),
                 core=core,
+                serial=table.serial,
             )
         )
     return specs

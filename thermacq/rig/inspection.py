@@ -115,7 +115,7 @@ class _Session:
         self._pipe, theirs = context.Pipe()
         self._process: BaseProcess = context.Process(
             target=_open_and_report,
-            args=(theirs, self._empty, rig, folder),
+            args=(theirs, self._empty, rig, folder, table.serial),
             name=f"check-{name}",
             daemon=True,
         )
@@ -156,7 +156,7 @@ class _Session:
         return DeviceReport(empty.name, empty.kind, empty.driver, empty.requested, error=what)
 
 
-def _open_and_report(pipe: Connection, empty: DeviceReport, rig: Rig, folder: Path) -> None:
+def _open_and_report(pipe: Connection, empty: DeviceReport, rig: Rig, folder: Path, serial: str) -> None:
     """Child process: open and configure, answer, hold the device until the parent lets go, close."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides, and closes the devices
     answer = dict(vars(empty))
@@ -166,7 +166,8 @@ def _open_and_report(pipe: Connection, empty: DeviceReport, rig: Rig, folder: Pa
         driver = plugins().driver(empty.driver, empty.kind)
         answer["evidence"] = driver.evidence
         clock = make_clock(ClockSettings(rig.clock.kind, rig.clock.speed))
-        device = driver.make(DeviceContext(empty.name, clock, rig.scene, folder))
+        context = DeviceContext(empty.name, clock, rig.scene, folder, serial=serial, settings=empty.requested)
+        device = driver.make(context)
         pipe.send("open")
         answer["identity"] = device.open()
         pipe.send("configure")

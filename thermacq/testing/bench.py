@@ -72,7 +72,7 @@ class Bench:
         self.clock = RealClock()
         self._folder = tempfile.TemporaryDirectory(prefix="thermacq-")
         self._worker = _Worker()
-        context = DeviceContext(DEVICE_NAME, self.clock, {}, Path(self._folder.name))
+        context = DeviceContext(DEVICE_NAME, self.clock, {}, Path(self._folder.name), settings=self.settings)
         self.device: Any = self.do("make()", lambda: driver.make(context))
 
     def __enter__(self) -> Self:
