@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 from pydantic import ValidationError
 
@@ -67,6 +68,8 @@ def find_misfits(
         lambda: _probe_findings(rig, reports),
         lambda: _machine_findings(rig, reports, machine),
         lambda: _matcher_findings(rig, known),
+        lambda: _correction_findings(rig, reports),
+        lambda: _stage_findings(rig, known),
     )
     findings = [finding for look in looks for finding in look()]
     findings.extend(known.rig_checks(rig))
@@ -186,3 +189,43 @@ def _matcher_findings(rig: Rig, known: Plugins) -> Iterator[RigFinding]:
         yield _warning(f"reconstruction.matcher: {error.what}. {error.remedy}")
     except ValidationError as error:
         yield _error(explain(error, model, "reconstruction.matcher_settings"))
+
+
+def _correction_findings(rig: Rig, reports: Sequence[DeviceReport]) -> Iterator[RigFinding]:
+    """Correction files that are damaged, of another camera, or of another size."""
+    if not rig.correction.files:
+        return
+    from thermacq_calibration import CalibrationError, load_correction
+
+    cameras = {report.name: report for report in reports}
+    for name, file in rig.correction.files.items():
+        try:
+            correction = load_correction(Path(file))
+        except CalibrationError as error:
+            yield _error(f"correction.files.{name}: {error.what}")
+            continue
+        report = cameras.get(name)
+        if report is None:
+            continue
+        serial = report.identity.serial if report.identity else ""
+        if serial and correction.serial and serial != correction.serial:
+            yield _error(
+                f"correction.files.{name}: '{file}' belongs to camera {correction.serial}, this one is {serial}"
+            )
+        can, (rows, columns) = report.capabilities, correction.gain.shape
+        if isinstance(can, CameraCapabilities) and (can.rows, can.columns) != (rows, columns):
+            yield _error(
+                f"correction.files.{name}: '{file}' is for pictures of {columns} x {rows} pixels, the camera "
+                f"makes {can.columns} x {can.rows}"
+            )
+
+
+def _stage_findings(rig: Rig, known: Plugins) -> Iterator[RigFinding]:
+    for number, stage in enumerate(rig.correction.stages):
+        try:
+            model = known.correction_stage(stage.name).settings()
+            model.model_validate(stage.settings)
+        except PluginError as error:
+            yield _error(f"correction.stages.{number}: {error.what}. {error.remedy}")
+        except ValidationError as error:
+            yield _error(explain(error, model, f"correction.stages.{number}.settings"))

@@ -39,12 +39,20 @@ def load_rig(path: Path, scene: Path | None = None) -> Rig:
         A file is missing, is not TOML, or holds unknown or impossible values.
     """
     text = read_toml_text(path)
-    rig = parse_rig(text, str(path))
+    rig = _with_whole_paths(parse_rig(text, str(path)), path)
     check_drivers(rig, plugins(), str(path), text)
     if scene is not None:
         looked_at = parse_toml(read_toml_text(scene), str(scene))
         rig = rig.model_copy(update={"scene": {**rig.scene, **looked_at}})
     return rig
+
+
+def _with_whole_paths(rig: Rig, path: Path) -> Rig:
+    """Correction files as absolute paths: a rig file names them relative to itself."""
+    folder = path.absolute().parent
+    files = {camera: str(folder / file) for camera, file in rig.correction.files.items()}
+    table = rig.correction.model_copy(update={"files": files})
+    return rig.model_copy(update={"correction": table})
 
 
 def read_toml_text(path: Path) -> str:
@@ -127,6 +135,13 @@ def _contradictions(rig: Rig) -> Iterator[tuple[_Place, str]]:
         if name in taken:
             yield place, f"the name '{name}' is already taken by {'.'.join(taken[name])}"
         taken[name] = place
+    for camera in rig.correction.files:
+        if camera not in rig.cameras:
+            known = ", ".join(rig.cameras)
+            yield (
+                ("correction", "files", camera),
+                f"there is no camera '{camera}' in this rig; it has: {known}",
+            )
     source = rig.trigger.source
     if source and source not in rig.trigger_sources:
         near = difflib.get_close_matches(source, rig.trigger_sources, n=1)

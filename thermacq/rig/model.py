@@ -108,6 +108,28 @@ class StoreTable(_Table):
     reserve_mb: float = Field(1024.0, ge=0, description="disk space that a recording leaves free")
 
 
+class StageTable(_Table):
+    """A correction stage of a plugin, named after the built-in ones."""
+
+    name: str
+    settings: dict[str, Any] = Field(default_factory=dict)
+
+
+class CorrectionTable(_Table):
+    """Corrections of the pictures. They are stored with each recording and applied when it is read.
+
+    The three built-in stages are those of a camera's correction file and rest without one.
+    """
+
+    files: dict[DeviceName, str] = Field(
+        default_factory=dict, description="correction file of each camera; relative to the rig file"
+    )
+    nonuniformity: bool = True
+    bad_pixels: bool = True
+    shading: bool = True
+    stages: list[StageTable] = Field(default_factory=list, description="further stages, in this order")
+
+
 class ReconstructionTable(_Table):
     """How elevation is made from pairs."""
 
@@ -132,6 +154,7 @@ class Rig(_Table):
     board: BoardTable = BoardTable()
     world: WorldTable = WorldTable()
     store: StoreTable = StoreTable()
+    correction: CorrectionTable = CorrectionTable()
     reconstruction: ReconstructionTable = ReconstructionTable()
     scene: dict[str, Any] = Field(
         default_factory=dict, description="what simulated devices look at; real devices ignore it"
