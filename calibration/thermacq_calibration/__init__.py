@@ -1,6 +1,8 @@
 """Pure numerics of calibration: arrays in, frozen records out. Imports nothing of the framework."""
 
 from thermacq_calibration.boards import board_points, check_board
+from thermacq_calibration.correction import BadPixel, CameraCorrection, load_correction
+from thermacq_calibration.corrector import Corrector
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.judgement import findings
 from thermacq_calibration.models import Board, BoardKind, CameraModel, ViewReport
@@ -24,10 +26,13 @@ from thermacq_calibration.targets import (
 
 __all__ = [
     "FRAMES_TO_AVERAGE",
+    "BadPixel",
     "Board",
     "BoardKind",
     "CalibrationError",
+    "CameraCorrection",
     "CameraModel",
+    "Corrector",
     "Detection",
     "NoBoard",
     "Rectification",
@@ -43,6 +48,7 @@ __all__ = [
     "detect_board",
     "findings",
     "load_calibration",
+    "load_correction",
     "rectify",
     "rectify_points",
     "vertical_differences_px",
