@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from thermacq.errors import PluginError, ReconstructionError
+from thermacq.errors import PluginError, ReconstructionError, RigError
 from thermacq.reconstruction import open_source, parse_settings
-from thermacq.reconstruction.pairs import find_calibration, run_pairs, select_frames
+from thermacq.reconstruction.pairs import camera_sides, find_calibration, run_pairs, select_frames
+from thermacq.rig import parse_rig
 from thermacq.store import open_run
 
 
@@ -64,7 +65,7 @@ def test_the_calibration_of_another_rig_is_refused(tmp_path, still_run, scene):
 def test_the_calibration_of_other_cameras_is_refused(
     tmp_path, still_run, scene, monkeypatch, serials, problem
 ):
-    monkeypatch.setattr("thermacq.reconstruction.pairs.camera_serials", lambda _: ("left-1", "right-1"))
+    monkeypatch.setattr("thermacq.reconstruction.pairs.camera_serials", lambda *_: ("left-1", "right-1"))
     calibration = scene().calibration()
     dataclasses.replace(calibration, serials=serials).save(tmp_path / "other.json")
     dataclasses.replace(calibration, serials=("left-1", "right-1")).save(tmp_path / "own.json")
@@ -116,3 +117,28 @@ def test_the_key_changes_with_the_settings_and_nothing_else(still_run):
     assert first.key(first.pairs) == same.key(same.pairs)
     assert first.key(first.pairs) != other.key(other.pairs)
     assert first.key(first.pairs) != first.key(first.pairs.select(slice(0, 5)))
+
+
+def test_a_pair_is_chosen_by_name_or_by_its_cameras(make_run, scene, tmp_path):
+    """A run whose rig names its cameras in a pair, the other way round."""
+    path = make_run(tmp_path / "run.h5", scene(rows=32, columns=48), 2)
+    with open_run(path) as run:
+        run.header.rig["pairs"] = {
+            "usual": {"left": "left", "right": "right"},
+            "crossed": {"left": "right", "right": "left"},
+        }
+        assert camera_sides(run) == ("left", "right")
+        assert camera_sides(run, "crossed") == ("right", "left")
+        assert camera_sides(run, "right, left") == ("right", "left")
+        assert run_pairs(run, "crossed").left_camera == "right"
+        for wrong in ("downstream", "left,left", "left,other", ""):
+            with pytest.raises(ReconstructionError, match="usual, crossed"):
+                camera_sides(run, wrong)
+
+
+def test_a_pair_of_cameras_that_the_rig_lacks_is_refused():
+    text = '[cameras.a]\ndriver = "x"\n[pairs.p]\nleft = "a"\nright = "b"\n'
+    with pytest.raises(RigError, match="no camera 'b'"):
+        parse_rig(text)
+    with pytest.raises(RigError, match="are the same"):
+        parse_rig(text.replace('"b"', '"a"'))

@@ -31,6 +31,10 @@ FrameRange = Annotated[
 Workers = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes; default: one for each processor core.")
 ]
+PairName = Annotated[
+    str | None,
+    typer.Option("--pair", help="Pair of the rig, or cameras LEFT,RIGHT; default: the rig's first pair."),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 
 
@@ -41,6 +45,7 @@ def still_water(
     matcher: MatcherName = None,
     settings: Settings = None,
     frames: FrameRange = None,
+    pair: PairName = None,
     workers: Workers = None,
     max_sigma_mm: Annotated[
         float | None,
@@ -52,7 +57,7 @@ def still_water(
     from thermacq.reconstruction import check_flat, check_new_file, find_world_frame, parts_folder_of
 
     check_new_file(output)
-    source = _open(run, calibration, matcher, settings, frames)
+    source = _open(run, calibration, matcher, settings, frames, pair)
     folder = parts_folder_of(output)
     with _resumable(folder), _progress() as progress:
         world = find_world_frame(
@@ -78,6 +83,7 @@ def reconstruct(
     matcher: MatcherName = None,
     settings: Settings = None,
     frames: FrameRange = None,
+    pair: PairName = None,
     workers: Workers = None,
     as_json: AsJson = False,
 ) -> None:
@@ -89,7 +95,7 @@ def reconstruct(
 
     reconstruction.check_new_file(output)
     frame = None if world is None else reconstruction.load_world_frame(world)
-    source = _open(run, calibration, matcher, settings, frames)
+    source = _open(run, calibration, matcher, settings, frames, pair)
     folder = reconstruction.parts_folder_of(output)
     with _resumable(folder), _progress() as progress:
         result = reconstruction.reconstruct(
@@ -134,6 +140,7 @@ def disparity(
     ] = None,
     matcher: MatcherName = None,
     settings: Settings = None,
+    pair: PairName = None,
     as_json: AsJson = False,
 ) -> None:
     """Match one pair: density, errors against a known disparity, depth, point cloud."""
@@ -143,7 +150,7 @@ def disparity(
         if path is not None:
             reconstruction.check_new_file(path)
     known = None if truth is None else reconstruction.load_disparity(truth)
-    source = _open(run, calibration, matcher, settings, f"{frame}:{frame + 1}")
+    source = _open(run, calibration, matcher, settings, f"{frame}:{frame + 1}", pair)
     pair = reconstruction.match_pair(source)
     values = _describe(pair, source)
     if known is not None:
@@ -162,7 +169,12 @@ def disparity(
 
 
 def _open(
-    run: Path, calibration: Path | None, matcher: str | None, settings: list[str] | None, frames: str | None
+    run: Path,
+    calibration: Path | None,
+    matcher: str | None,
+    settings: list[str] | None,
+    frames: str | None,
+    pair: str | None,
 ) -> Source:
     from thermacq.reconstruction import open_source, parse_settings
 
@@ -172,6 +184,7 @@ def _open(
         frames=frames,
         matcher=matcher,
         settings=parse_settings(settings or []),
+        pair=pair,
     )
 
 

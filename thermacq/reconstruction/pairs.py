@@ -53,14 +53,25 @@ class RunPairs:
         )
 
 
-def camera_sides(run: RunFile) -> tuple[str, str]:
-    """Names of the left and the right camera: ``left`` and ``right``, else the first two of the rig.
+def camera_sides(run: RunFile, pair: str | None = None) -> tuple[str, str]:
+    """Names of the left and the right camera of a pair.
+
+    Parameters
+    ----------
+    run
+        The run.
+    pair
+        A pair of the rig's ``[pairs]``, or two cameras as ``LEFT,RIGHT``. None: the first pair of the rig;
+        without ``[pairs]`` the cameras ``left`` and ``right``, else the first two.
 
     Raises
     ------
     ReconstructionError
-        The run has fewer than two cameras.
+        There is no such pair, or the run has fewer than two cameras.
     """
+    pairs = run.rig.pairs
+    if pair is not None or pairs:
+        return _named_pair(run, next(iter(pairs)) if pair is None else pair)
     if {"left", "right"} <= set(run.cameras):
         return "left", "right"
     if len(run.cameras) < 2:
@@ -71,15 +82,32 @@ def camera_sides(run: RunFile) -> tuple[str, str]:
     return run.cameras[0], run.cameras[1]
 
 
-def run_pairs(run: RunFile) -> RunPairs:
-    """Pair the frames of a run by trigger index, else by device time.
+def _named_pair(run: RunFile, pair: str) -> tuple[str, str]:
+    if pair in run.rig.pairs:
+        sides = (run.rig.pairs[pair].left, run.rig.pairs[pair].right)
+    else:
+        left, _, right = pair.partition(",")
+        sides = (left.strip(), right.strip())
+    if sides[0] == sides[1] or not set(sides) <= set(run.cameras):
+        known = ", ".join(run.rig.pairs) or "none: its rig has no [pairs]"
+        raise ReconstructionError(
+            f"'{run.path}' has no pair '{pair}' (pairs: {known}; cameras: {', '.join(run.cameras)})",
+            remedy="Name a pair of the rig, or two cameras: --pair LEFT,RIGHT.",
+        )
+    return sides
+
+
+def run_pairs(run: RunFile, pair: str | None = None) -> RunPairs:
+    """Pair the frames of two cameras of a run by trigger index, else by device time.
+
+    `pair` is as in `camera_sides`.
 
     Raises
     ------
     ReconstructionError
         No frame of one camera has a partner of the other.
     """
-    names = camera_sides(run)
+    names = camera_sides(run, pair)
     tables = [run.frames(name) for name in names]
     clocks = [
         _clock(run, name, table.ticks, table.host_ns) for name, table in zip(names, tables, strict=True)
@@ -130,8 +158,10 @@ def select_frames(pairs: RunPairs, frames: str | None) -> RunPairs:
     return chosen
 
 
-def find_calibration(run: RunFile, given: Path | None) -> StereoCalibration:
+def find_calibration(run: RunFile, given: Path | None, pair: str | None = None) -> StereoCalibration:
     """The calibration that was given, else the one stored with the run; checked against its pictures.
+
+    `pair` is as in `camera_sides`.
 
     Raises
     ------
@@ -150,7 +180,7 @@ def find_calibration(run: RunFile, given: Path | None) -> StereoCalibration:
             f"'{run.path}' holds no calibration", remedy="Give one with --calibration CALIBRATION.json."
         )
     columns, rows = calibration.image_size
-    for name in camera_sides(run):
+    for name in camera_sides(run, pair):
         stream = run.camera(name)
         if (stream.columns, stream.rows) != (columns, rows):
             raise ReconstructionError(
@@ -158,18 +188,18 @@ def find_calibration(run: RunFile, given: Path | None) -> StereoCalibration:
                 f"camera '{name}' of '{run.path}' has {stream.columns} x {stream.rows}",
                 remedy="Use the calibration of these cameras.",
             )
-    _check_serials(run, calibration)
+    _check_serials(run, calibration, pair)
     return calibration
 
 
-def camera_serials(run: RunFile) -> tuple[str, str] | None:
+def camera_serials(run: RunFile, pair: str | None = None) -> tuple[str, str] | None:
     """Serial numbers of the left and the right camera, None unless both are known."""
-    left, right = (str(run.camera(name).identity.get("serial", "")) for name in camera_sides(run))
+    left, right = (str(run.camera(name).identity.get("serial", "")) for name in camera_sides(run, pair))
     return (left, right) if left and right else None
 
 
-def _check_serials(run: RunFile, calibration: StereoCalibration) -> None:
-    found, wanted = camera_serials(run), calibration.serials
+def _check_serials(run: RunFile, calibration: StereoCalibration, pair: str | None) -> None:
+    found, wanted = camera_serials(run, pair), calibration.serials
     if found is None or wanted is None or found == wanted:
         return
     what = "with left and right exchanged" if found == wanted[::-1] else "of other cameras"

@@ -41,6 +41,7 @@ class Source:
             "run": self.run_path.name,
             "run_id": self.header.run_id,
             "run_sha256": self.run_sha256,
+            "cameras": f"{self.pairs.left_camera},{self.pairs.right_camera}",
             "calibration_sha256": self.calibration.sha256,
             "matcher": self.matcher,
             "matcher_settings": self.settings,
@@ -66,6 +67,7 @@ def open_source(
     frames: str | None = None,
     matcher: str | None = None,
     settings: Mapping[str, Any] | None = None,
+    pair: str | None = None,
 ) -> Source:
     """Check that a run can be reconstructed and complete the settings.
 
@@ -81,6 +83,8 @@ def open_source(
         Name of the matcher; None: the rig's.
     settings
         Its settings, over those of the rig when the matcher is the rig's.
+    pair
+        Which pair of cameras, where there are several; see `camera_sides`.
 
     Raises
     ------
@@ -91,8 +95,8 @@ def open_source(
     """
     with open_run(run_path) as run:
         rig = run.rig
-        record = find_calibration(run, calibration)
-        pairs = select_frames(run_pairs(run), frames)
+        record = find_calibration(run, calibration, pair)
+        pairs = select_frames(run_pairs(run, pair), frames)
         header, run_sha256 = run.header, run.sha256()
     table = rig.reconstruction
     name = matcher or table.matcher

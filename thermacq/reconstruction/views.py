@@ -41,8 +41,10 @@ class PictureView:
 
 
 @contextmanager
-def open_views(sources: Sequence[Path], frames_per_view: int | None = None) -> Iterator[list[PictureView]]:
-    """Views of a folder, of picture files, or of a run file, as long as the context lasts.
+def open_views(
+    sources: Sequence[Path], frames_per_view: int | None = None, pair: str | None = None
+) -> Iterator[list[PictureView]]:
+    """Views of a folder, of picture files, or of one pair of cameras of a run, as long as the context lasts.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def open_views(sources: Sequence[Path], frames_per_view: int | None = None) -> I
         yield views_from_folder(sources[0])
     else:
         with open_run(sources[0]) as run:
-            yield views_from_run(run, frames_per_view)
+            yield views_from_run(run, frames_per_view, pair)
 
 
 def is_run(sources: Sequence[Path]) -> bool:
@@ -70,12 +72,12 @@ def is_run(sources: Sequence[Path]) -> bool:
     return len(sources) == 1 and sources[0].is_file() and not is_picture(sources[0])
 
 
-def serials_of(sources: Sequence[Path]) -> tuple[str, str] | None:
+def serials_of(sources: Sequence[Path], pair: str | None = None) -> tuple[str, str] | None:
     """Serial numbers of the cameras of a run file; None for pictures, which do not tell."""
     if not is_run(sources):
         return None
     with open_run(sources[0]) as run:
-        return camera_serials(run)
+        return camera_serials(run, pair)
 
 
 def views_from_files(files: Sequence[Path]) -> list[PictureView]:
@@ -143,7 +145,9 @@ def views_from_lists(left: Sequence[Path], right: Sequence[Path]) -> list[Pictur
     ]
 
 
-def views_from_run(run: RunFile, frames_per_view: int | None = None) -> list[PictureView]:
+def views_from_run(
+    run: RunFile, frames_per_view: int | None = None, pair: str | None = None
+) -> list[PictureView]:
     """Poses of a recorded board; each picture is the mean of up to 16 frames.
 
     Parameters
@@ -152,13 +156,15 @@ def views_from_run(run: RunFile, frames_per_view: int | None = None) -> list[Pic
         The open run; it must stay open while the views are looked at.
     frames_per_view
         Pairs per pose; None finds the stretches in which the left picture stands still.
+    pair
+        Which pair of cameras; see `camera_sides`.
 
     Raises
     ------
     ReconstructionError
         The run has no pairs, or the board never stands still.
     """
-    pairs = run_pairs(run)
+    pairs = run_pairs(run, pair)
     if frames_per_view is None:
         left = (run.counts(pairs.left_camera, int(index)) for index in pairs.left)
         stretches = still_stretches(*changes(left))

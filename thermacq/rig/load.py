@@ -142,6 +142,12 @@ def _contradictions(rig: Rig) -> Iterator[tuple[_Place, str]]:
                 ("correction", "files", camera),
                 f"there is no camera '{camera}' in this rig; it has: {known}",
             )
+    for pair, sides in rig.pairs.items():
+        for side, camera in (("left", sides.left), ("right", sides.right)):
+            if camera not in rig.cameras:
+                yield ("pairs", pair, side), f"there is no camera '{camera}' in this rig"
+        if sides.left == sides.right:
+            yield ("pairs", pair), "its left and its right camera are the same"
     source = rig.trigger.source
     if source and source not in rig.trigger_sources:
         near = difflib.get_close_matches(source, rig.trigger_sources, n=1)

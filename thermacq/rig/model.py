@@ -69,6 +69,13 @@ class ProbeTable(_Table):
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
+class PairTable(_Table):
+    """Two cameras that look at the same water; a rig may have several such pairs."""
+
+    left: str
+    right: str
+
+
 class TriggerSourceTable(_Table):
     """One trigger source."""
 
@@ -149,6 +156,10 @@ class Rig(_Table):
     clock: ClockTable = ClockTable()
     trigger: TriggerTable = TriggerTable()
     cameras: dict[DeviceName, CameraTable] = Field(min_length=1)
+    pairs: dict[DeviceName, PairTable] = Field(
+        default_factory=dict,
+        description="stereo pairs of a rig with more than two cameras, the first by default",
+    )
     probes: dict[DeviceName, ProbeTable] = Field(default_factory=dict)
     trigger_sources: dict[DeviceName, TriggerSourceTable] = Field(default_factory=dict)
     board: BoardTable = BoardTable()

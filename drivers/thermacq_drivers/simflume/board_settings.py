@@ -34,6 +34,10 @@ class ChessboardSettings(Table):
     nearest_m: float = Field(0.45, gt=0.1)
     farthest_m: float = Field(0.9, lt=5)
     largest_tilt_deg: float = Field(40.0, ge=0, le=50)
+    place_m: tuple[float, float, float] | None = Field(
+        None,
+        description="middle of the board in the flume, lying along it face up, the same for every camera",
+    )
     shake_m: float = Field(0.0, ge=0, lt=0.1, description="amplitude of the hand's movement")
     shake_hz: float = Field(2.0, gt=0, le=20, description="its frequency")
 

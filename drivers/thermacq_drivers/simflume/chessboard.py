@@ -87,6 +87,8 @@ def board_pose(
     if settings.views:
         view %= settings.views
     random = generator(seed, "board pose", view)
+    if settings.place_m is not None:
+        return _lying_pose(settings, random, np.array(settings.place_m))
     frontal, corner = settings.poses == "frontal", settings.poses == "corner"
     direction = np.array(_DIRECTIONS[1 if corner else view % len(_DIRECTIONS)], float)
     for _ in range(_ATTEMPTS):
@@ -118,6 +120,14 @@ def apparent_kelvin(emissivity: float, surface_k: float, ambient_k: float) -> fl
     """Apparent temperature of a grey surface that reflects its surroundings, kelvin."""
     power = _RADIANCE_EXPONENT
     return float((emissivity * surface_k**power + (1 - emissivity) * ambient_k**power) ** (1 / power))
+
+
+def _lying_pose(settings: ChessboardSettings, random: np.random.Generator, middle_m: Floats) -> BoardPose:
+    """Face up, its rows along +X and its columns along -Y, tilted at random; whoever looks at it."""
+    axis_deg, tilt_deg = random.uniform(0, 360), settings.largest_tilt_deg * np.sqrt(random.uniform())
+    axis = np.array([np.cos(np.radians(axis_deg)), np.sin(np.radians(axis_deg)), 0.0])
+    rotation = Rotation.from_rotvec(tilt_deg * axis, degrees=True).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    return BoardPose(rotation, middle_m - rotation @ corner_grid(settings).mean(axis=0))
 
 
 def _held_rotation(random: np.random.Generator, largest_tilt_deg: float) -> Floats:
