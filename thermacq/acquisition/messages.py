@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from thermacq.errors import DeviceFault, StoreError
 from thermacq.rig import StoreTable
 from thermacq.store import CameraStream, ProbeStream, RunHeader
 from thermacq.timing import ClockSettings
+
+if TYPE_CHECKING:
+    from thermacq_calibration import CameraCorrection
 
 Capabilities: TypeAlias = CameraCapabilities | ProbeCapabilities | TriggerCapabilities
 
@@ -136,6 +139,7 @@ class CreateOrder:
     store: StoreTable
     slots: int
     mode: TriggerMode
+    corrections: dict[str, CameraCorrection] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from thermacq.acquisition.job import Job
 from thermacq.acquisition.messages import ArmOrder, DeviceSpec, Opened, plain
@@ -25,6 +25,9 @@ from thermacq.rig.load import devices_of
 from thermacq.rig.machine import this_machine
 from thermacq.store import CameraStream, ProbeStream, RunHeader
 from thermacq.timing import NS_PER_S, ClockSettings
+
+if TYPE_CHECKING:
+    from thermacq_calibration import CameraCorrection
 
 _PACKAGES = ("thermacq", "numpy", "h5py", "numcodecs")
 
@@ -146,6 +149,22 @@ def _calibration_misfits(job: Job, opened: Mapping[str, Opened]) -> list[str]:
         for name, camera in cameras_of(opened).items()
         if size != (camera.columns, camera.rows)
     ]
+
+
+def corrections(rig: Rig) -> dict[str, CameraCorrection]:
+    """The cameras' corrections that the rig names, to be stored with the run.
+
+    Raises
+    ------
+    RigError
+        A file is missing or damaged.
+    """
+    from thermacq_calibration import CalibrationError, load_correction
+
+    try:
+        return {camera: load_correction(Path(file)) for camera, file in rig.correction.files.items()}
+    except CalibrationError as error:
+        raise RigError(error.what, kept="Nothing was recorded.", remedy=error.remedy) from None
 
 
 def cameras_of(opened: Mapping[str, Opened]) -> dict[str, CameraCapabilities]:

@@ -168,6 +168,7 @@ class Recorder:
                 store=rig.store,
                 slots=plan.ring_slots(rig),
                 mode=rig.trigger.mode,
+                corrections=plan.corrections(rig),
             )
         )
         deadline_s = time.monotonic() + CREATE_TIMEOUT_S

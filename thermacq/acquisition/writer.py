@@ -69,7 +69,9 @@ def writer_main(
     except EOFError:
         return
     try:
-        run = RunWriter.create(order.path, order.header, order.cameras, order.probes, order.store)
+        run = RunWriter.create(
+            order.path, order.header, order.cameras, order.probes, order.store, order.corrections
+        )
     except StoreError as error:
         recorder.send(WriterEnded({}, error))
         return

@@ -52,6 +52,8 @@ def info(run: Run, as_json: AsJson = False) -> None:
     events = ", ".join(f"{count} {kind}" for kind, count in facts["events"].items())
     out.print(f"events: {events or 'none'}", markup=False)
     out.print(f"calibration: {'stored' if facts['calibration'] else 'none'}", markup=False)
+    corrections = ", ".join(f"{name} {sha256[:12]}" for name, sha256 in facts["corrections"].items())
+    out.print(f"corrections: {corrections or 'none'}", markup=False)
 
 
 def verify(run: Run, as_json: AsJson = False) -> None:
@@ -92,6 +94,8 @@ def recover(run: Run, output: Output) -> None:
     for probe, samples in report.samples.items():
         out.print(f"probe {probe}: {samples} samples saved", markup=False)
     out.print(f"events saved: {report.events}")
+    if report.lost_corrections:
+        out.print(f"not copied: {report.lost_corrections}", markup=False)
     if report.was_complete and not report.lost:
         out.print(f"'{run}' was sound already; '{output}' is a copy of it", markup=False)
     else:
@@ -128,6 +132,16 @@ def import_(
     )
 
 
+def _corrections(run: RunFile) -> dict[str, str]:
+    """Hash of each camera's stored correction; what a damaged one says is for `verify`."""
+    from thermacq.errors import StoreError
+
+    try:
+        return {name: correction.sha256 for name, correction in run.corrections().items()}
+    except StoreError:
+        return {"": "damaged"}
+
+
 def _facts(run: RunFile) -> dict[str, Any]:
     """What `info` shows, as plain values."""
     header = run.header
@@ -155,6 +169,7 @@ def _facts(run: RunFile) -> dict[str, Any]:
         "probes": probes,
         "events": dict(Counter(event.kind.value for event in run.events())),
         "calibration": run.calibration() is not None,
+        "corrections": _corrections(run),
         "versions": header.versions,
         "summary": run.summary(),
     }

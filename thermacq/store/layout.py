@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,8 @@ from thermacq.store.records import CameraStream, ProbeStream, RunHeader
 if TYPE_CHECKING:
     import h5py
 
+    from thermacq_calibration import CameraCorrection
+
 FORMAT_VERSION = 1
 SUMMARY_BYTES = 256 * 1024
 END_REASON_BYTES = 400
@@ -31,6 +34,8 @@ DETAIL_BYTES = 200
 ENTRY = "entry"
 DETAILS = "thermacq"
 """Group of each run and device that holds what NeXus has no name for."""
+CORRECTIONS = "corrections"
+"""Group within `DETAILS` of the run, with one group for each corrected camera; only there when there are any."""
 COMMITTED = "committed"
 
 # dtype and unit of each column; the names are those of `FrameTable`, plus the time for viewers
@@ -95,6 +100,7 @@ def create_layout(
     cameras: list[CameraStream],
     probes: list[ProbeStream],
     compression: Compression,
+    corrections: Mapping[str, CameraCorrection],
 ) -> None:
     """Make every group, dataset, link and attribute of a run file."""
     import h5py
@@ -117,7 +123,11 @@ def create_layout(
     put_text(entry, "end_time", "", 32)
     put_text(entry, "entry_identifier", header.run_id)
     put_text(entry, "program_name", "thermacq")
-    _create_details(entry, header, cameras, probes)
+    details = _create_details(entry, header, cameras, probes)
+    if corrections:
+        group = _group(details, CORRECTIONS, "NXcollection")
+        for name, correction in corrections.items():
+            correction.to_group(_group(group, name, "NXcollection"))
     _create_table(_group(entry, "events", "NXcollection"), EVENT_COLUMNS)
     instrument = _group(entry, "instrument", "NXinstrument")
     put_text(instrument, "name", str(header.rig.get("name", "rig")))
@@ -129,7 +139,7 @@ def create_layout(
 
 def _create_details(
     entry: h5py.Group, header: RunHeader, cameras: list[CameraStream], probes: list[ProbeStream]
-) -> None:
+) -> h5py.Group:
     details = _group(entry, DETAILS, "NXcollection")
     details.create_dataset("format_version", data=FORMAT_VERSION)
     own = {"rig": header.rig, "calibration": header.calibration, "versions": header.versions}
@@ -145,6 +155,7 @@ def _create_details(
     put_text(details, "summary", "", SUMMARY_BYTES)
     put_text(details, "end_reason", "", END_REASON_BYTES)
     details.create_dataset("finished", data=np.uint8(0))
+    return details
 
 
 def _create_camera(

@@ -34,6 +34,8 @@ from thermacq.store.records import (
 if TYPE_CHECKING:
     import h5py
 
+    from thermacq_calibration import CameraCorrection
+
 _MAX_PIXELS = 1 << 28
 _MAX_DEVICES = 256
 
@@ -216,6 +218,30 @@ class RunFile:
     def calibration(self) -> dict[str, Any] | None:
         """The calibration that was recorded with the run."""
         return self.header.calibration
+
+    def corrections(self) -> dict[str, CameraCorrection]:
+        """The corrections that were recorded with the run, by camera; they are not applied to `counts`.
+
+        Raises
+        ------
+        StoreError
+            One of them is damaged.
+        """
+        from thermacq_calibration import CalibrationError, CameraCorrection
+
+        if layout.CORRECTIONS not in self._details:
+            return {}
+        with untrusted.explained(self.path):
+            group = untrusted.get_group(self._details, layout.CORRECTIONS)
+            names = [name for name in self._cameras if name in group]
+            try:
+                return {name: CameraCorrection.from_group(untrusted.get_group(group, name)) for name in names}
+            except CalibrationError as error:
+                raise StoreError(
+                    f"a correction stored in '{self.path}' is damaged: {error.what}",
+                    kept="The raw counts are not concerned.",
+                    remedy="Give the corrections as files, or go without them.",
+                ) from None
 
     def sha256(self) -> str:
         """SHA-256 of the file, hexadecimal: its name in every derived product."""

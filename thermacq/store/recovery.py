@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from thermacq.store.reader import RunFile, open_run
 from thermacq.store.records import FrameRow
 from thermacq.store.verification import Progress, damaged_frames
 from thermacq.store.writer import RunWriter
+
+if TYPE_CHECKING:
+    from thermacq_calibration import CameraCorrection
 
 _FRAMES_PER_FLUSH = 100
 
@@ -33,6 +37,8 @@ class RecoveryReport:
     """Frames that the writer had begun but not committed when it died."""
     damaged: dict[str, list[int]] = field(default_factory=dict)
     """Rows of committed frames whose data are damaged; they become gaps in the sequence number."""
+    lost_corrections: str = ""
+    """Why the cameras' corrections could not be copied; empty when they were, or there were none."""
 
     @property
     def lost(self) -> int:
@@ -53,7 +59,8 @@ def recover(path: Path, output: Path, progress: Progress | None = None) -> Recov
         cameras = [run.camera(name) for name in run.cameras]
         probes = [run.probe_stream(name) for name in run.probes]
         settings = StoreTable(compression=run.compression)
-        writer = RunWriter.create(output, run.header, cameras, probes, settings)
+        corrections = _corrections(run, report)
+        writer = RunWriter.create(output, run.header, cameras, probes, settings, corrections)
         try:
             _copy_frames(run, writer, report, progress)
             for probe in run.probes:
@@ -70,6 +77,14 @@ def recover(path: Path, output: Path, progress: Progress | None = None) -> Recov
                 raise StoreError(error.what, kept=kept, remedy=error.remedy) from None
             raise
     return report
+
+
+def _corrections(run: RunFile, report: RecoveryReport) -> dict[str, CameraCorrection]:
+    try:
+        return run.corrections()
+    except StoreError as error:
+        report.lost_corrections = error.what
+        return {}
 
 
 def _copy_frames(run: RunFile, writer: RunWriter, report: RecoveryReport, progress: Progress | None) -> None:
@@ -122,7 +137,7 @@ def _copy_samples(run: RunFile, writer: RunWriter, probe: str) -> int:
 
 
 def _finish(run: RunFile, writer: RunWriter, report: RecoveryReport) -> None:
-    if run.complete and not report.lost:
+    if run.complete and not report.lost and not report.lost_corrections:
         writer.finish(run.summary() or {}, run.end_reason, run.end_time)
         return
     moments = [run.header.host_anchor_ns]
@@ -136,6 +151,7 @@ def _finish(run: RunFile, writer: RunWriter, report: RecoveryReport) -> None:
             "samples": report.samples,
             "uncommitted": report.uncommitted,
             "damaged": report.damaged,
+            "lost_corrections": report.lost_corrections,
         }
     }
     end_time = run.end_time or datetime.fromtimestamp(unix_ns / 1e9, UTC).isoformat()

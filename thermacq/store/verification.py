@@ -62,6 +62,7 @@ def verify(path: Path, progress: Progress | None = None) -> VerifyReport:
             what = "the run was not closed: it is being written, or its writer died (`thermacq recover`)"
             report.findings.append(Finding("run", what))
         losses = _losses(run, report)
+        _check_corrections(run, report)
         total = sum(run.frame_count(camera) for camera in run.cameras)
         done = 0
         for camera in run.cameras:
@@ -154,6 +155,13 @@ def _check_steps(
 def _check_order(report: VerifyReport, where: str, what: str, times: NDArray[np.int64]) -> None:
     if back := int(np.count_nonzero(times[1:] < times[:-1])):
         report.findings.append(Finding(where, f"{what}: go back {back} times"))
+
+
+def _check_corrections(run: RunFile, report: VerifyReport) -> None:
+    try:
+        run.corrections()
+    except StoreError as error:
+        report.findings.append(Finding("run", error.what))
 
 
 def _losses(run: RunFile, report: VerifyReport) -> set[str]:

@@ -8,7 +8,7 @@ file is closed after the disk was full, so a recorder runs the writer in a proce
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -26,6 +26,8 @@ from thermacq.store.tables import CameraSink, Table
 
 if TYPE_CHECKING:
     import h5py
+
+    from thermacq_calibration import CameraCorrection
 
 LIBRARY_VERSIONS = ("v110", "v110")
 """File format: the oldest that knows single-writer-multiple-reader."""
@@ -85,8 +87,9 @@ class RunWriter:
         cameras: Sequence[CameraStream],
         probes: Sequence[ProbeStream] = (),
         settings: StoreTable | None = None,
+        corrections: Mapping[str, CameraCorrection] | None = None,
     ) -> RunWriter:
-        """Make a new run file and open it for writing.
+        """Make a new run file and open it for writing; `corrections` are those of its cameras, by name.
 
         Raises
         ------
@@ -108,7 +111,9 @@ class RunWriter:
         try:
             ballast = Ballast(path.parent)
             file = h5py.File(path, "x", libver=LIBRARY_VERSIONS)
-            layout.create_layout(file, header, list(cameras), list(probes), settings.compression)
+            layout.create_layout(
+                file, header, list(cameras), list(probes), settings.compression, corrections or {}
+            )
             file.swmr_mode = True
             return cls(path, file, header, cameras, probes, settings, ballast)
         except (OSError, RuntimeError) as error:
