@@ -112,6 +112,7 @@ class NoiseAccumulator:
         self._bad = bad_pixels if bad_pixels is not None and bad_pixels.any() else None
         self._frames = 0
         self._level = 0.0
+        self._previous: Floats | None = None
 
     @property
     def frames(self) -> int:
@@ -158,7 +159,7 @@ class NoiseAccumulator:
         self._column_squares += float(columns @ columns)
         self._mean_squares += mean * mean
         self._mean_sum += mean
-        if self._frames:
+        if self._previous is not None:
             self._difference_squares += _interaction_squares(values - self._previous)
         self._previous = values
         self._frames += 1
@@ -299,7 +300,5 @@ def _part_mean(sums: Floats, counts: NDArray[np.int_], mean: float) -> Floats:
 def _interaction_squares(values: Floats) -> float:
     """Sum of squares once means of rows and columns are taken out."""
     rows, columns = values.mean(axis=1), values.mean(axis=0)
-    mean = float(rows.mean())
-    total = float(np.vdot(values, values))
-    total -= values.shape[1] * float(rows @ rows) + values.shape[0] * float(columns @ columns)
-    return max(0.0, total + values.size * mean**2)
+    left: Floats = values - rows[:, None] - (columns - rows.mean())
+    return float(np.vdot(left, left))

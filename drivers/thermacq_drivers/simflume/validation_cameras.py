@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import welch
 
+from thermacq_calibration.noise import noise_3d
 from thermacq_drivers.simflume.bolometer import lagged_temperature
 from thermacq_drivers.simflume.drift import Flicker
 from thermacq_drivers.simflume.lens import build_lens
@@ -22,7 +23,6 @@ from thermacq_drivers.simflume.sensor_settings import (
 )
 from thermacq_drivers.simflume.settings import parse_scene
 from thermacq_drivers.simflume.surfaces import Floats
-from thermacq_drivers.simflume.three_d_noise import noise_components
 from thermacq_drivers.simflume.validation_water import Check
 
 _ROWS, _COLUMNS, _FRAMES = 512, 640, 80
@@ -53,13 +53,13 @@ def noise_checks() -> list[Check]:
         bad_pixel_fraction=0.0,
         counts_per_k=1000.0,
     )
-    found = noise_components(uniform_frames(settings, _FRAMES))
+    found = noise_3d(uniform_frames(settings, _FRAMES))
     return [
         Check(
             f"3-D noise, component {component}",
             "K",
             level_k,
-            found.deviation(component),
+            found.component(component).sigma,
             noise_tolerance(component) * level_k,
         )
         for component, level_k in NOISE_K.items()
