@@ -50,6 +50,10 @@ class ImportDataError(ThermacqError):
     """Foreign pictures, videos or series cannot be turned into a run file or series."""
 
 
+class CorrectionError(ThermacqError):
+    """Corrections of pictures cannot be made, or do not fit the pictures."""
+
+
 class ReconstructionError(ThermacqError):
     """A surface cannot be reconstructed from this run with this calibration."""
 

@@ -94,6 +94,14 @@ class Emulation:
     runtime_dir: Path
     settings: Settings = field(default_factory=dict)
 
+    @property
+    def fault_log(self) -> Path:
+        """File to which the emulator appends each fault that it acted out, a line of JSON for each.
+
+        The host stores them as events of the run: ``{"host_ns": ..., "fault": "drop", "item": 5}``.
+        """
+        return self.runtime_dir / f"{self.name}.faults.jsonl"
+
 
 @dataclass(frozen=True)
 class Emulator:
@@ -129,6 +137,10 @@ class Emulator:
         return self.driver
 
 
+def _no_memory(_settings: BaseModel) -> int:
+    return 0
+
+
 class PictureCorrection(Protocol):
     """One correction of one camera's pictures, with whatever state it needs between them."""
 
@@ -153,13 +165,24 @@ class PictureCorrection(Protocol):
 class CorrectionStage:
     """A correction that can be named after the built-in ones, e.g. destriping.
 
-    ``make(settings)`` makes one for one camera; pictures come in the order of time.
+    Parameters
+    ----------
+    name, summary
+        Name, and one line about it.
+    settings
+        Returns the pydantic model of its settings.
+    make
+        Makes one for one camera; pictures come in the order of time.
+    memory
+        How many pictures before a picture its correction depends on; it is shown them first, so that no
+        picture depends on where the reading began.
     """
 
     name: str
     summary: str
     settings: Callable[[], type[BaseModel]]
     make: Callable[[BaseModel], PictureCorrection]
+    memory: Callable[[BaseModel], int] = _no_memory
 
 
 class DisparityMatcher(Protocol):

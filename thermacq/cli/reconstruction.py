@@ -35,6 +35,15 @@ PairName = Annotated[
     str | None,
     typer.Option("--pair", help="Pair of the rig, or cameras LEFT,RIGHT; default: the rig's first pair."),
 ]
+CorrectionFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--correction", help="Correction file of a camera; repeatable. Default: those stored in the run."
+    ),
+]
+NoCorrection = Annotated[
+    bool, typer.Option("--no-correction", help="Pictures as the cameras delivered them.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 
 
@@ -46,6 +55,8 @@ def still_water(
     settings: Settings = None,
     frames: FrameRange = None,
     pair: PairName = None,
+    correction: CorrectionFiles = None,
+    no_correction: NoCorrection = False,
     workers: Workers = None,
     max_sigma_mm: Annotated[
         float | None,
@@ -57,7 +68,7 @@ def still_water(
     from thermacq.reconstruction import check_flat, check_new_file, find_world_frame, parts_folder_of
 
     check_new_file(output)
-    source = _open(run, calibration, matcher, settings, frames, pair)
+    source = _open(run, calibration, matcher, settings, frames, pair, correction, no_correction)
     folder = parts_folder_of(output)
     with _resumable(folder), _progress() as progress:
         world = find_world_frame(
@@ -84,6 +95,8 @@ def reconstruct(
     settings: Settings = None,
     frames: FrameRange = None,
     pair: PairName = None,
+    correction: CorrectionFiles = None,
+    no_correction: NoCorrection = False,
     workers: Workers = None,
     as_json: AsJson = False,
 ) -> None:
@@ -95,7 +108,7 @@ def reconstruct(
 
     reconstruction.check_new_file(output)
     frame = None if world is None else reconstruction.load_world_frame(world)
-    source = _open(run, calibration, matcher, settings, frames, pair)
+    source = _open(run, calibration, matcher, settings, frames, pair, correction, no_correction)
     folder = reconstruction.parts_folder_of(output)
     with _resumable(folder), _progress() as progress:
         result = reconstruction.reconstruct(
@@ -141,6 +154,8 @@ def disparity(
     matcher: MatcherName = None,
     settings: Settings = None,
     pair: PairName = None,
+    correction: CorrectionFiles = None,
+    no_correction: NoCorrection = False,
     as_json: AsJson = False,
 ) -> None:
     """Match one pair: density, errors against a known disparity, depth, point cloud."""
@@ -150,18 +165,20 @@ def disparity(
         if path is not None:
             reconstruction.check_new_file(path)
     known = None if truth is None else reconstruction.load_disparity(truth)
-    source = _open(run, calibration, matcher, settings, f"{frame}:{frame + 1}", pair)
-    pair = reconstruction.match_pair(source)
-    values = _describe(pair, source)
+    source = _open(
+        run, calibration, matcher, settings, f"{frame}:{frame + 1}", pair, correction, no_correction
+    )
+    matched = reconstruction.match_pair(source)
+    values = _describe(matched, source)
     if known is not None:
-        values["errors"] = asdict(reconstruction.disparity_errors(pair.disparity, known))
+        values["errors"] = asdict(reconstruction.disparity_errors(matched.disparity, known))
         values["depth_errors"] = asdict(
-            reconstruction.depth_errors(pair.disparity, known, source.rectification)
+            reconstruction.depth_errors(matched.disparity, known, source.rectification)
         )
     if output is not None:
-        reconstruction.save_disparity(output, pair.disparity)
+        reconstruction.save_disparity(output, matched.disparity)
     if cloud is not None:
-        values["cloud_points"] = reconstruction.write_cloud(pair, cloud)
+        values["cloud_points"] = reconstruction.write_cloud(matched, cloud)
     if as_json:
         print_json(values)
     else:
@@ -175,8 +192,13 @@ def _open(
     settings: list[str] | None,
     frames: str | None,
     pair: str | None,
+    correction: list[Path] | None,
+    no_correction: bool,
 ) -> Source:
     from thermacq.reconstruction import open_source, parse_settings
+
+    if correction and no_correction:
+        raise typer.BadParameter("--correction and --no-correction contradict each other")
 
     return open_source(
         run,
@@ -185,6 +207,8 @@ def _open(
         matcher=matcher,
         settings=parse_settings(settings or []),
         pair=pair,
+        correction_files=correction or [],
+        correct=not no_correction,
     )
 
 

@@ -2,3 +2,14 @@
 
 Raw counts are never altered.
 """
+
+from thermacq.imaging.corrections import (
+    NO_CORRECTIONS,
+    CorrectedPictures,
+    Corrections,
+    Stage,
+    check_fits,
+    corrections_of,
+)
+
+__all__ = ["NO_CORRECTIONS", "CorrectedPictures", "Corrections", "Stage", "check_fits", "corrections_of"]

@@ -137,7 +137,9 @@ def surface_of(
 def _surfaces_of_part(
     job: MatchingJob, world: WorldFrame, grid: Grid, table: ReconstructionTable
 ) -> PartMaker:
-    reader = PairReader(job.run_path, StereoCalibration.from_dict(job.calibration), job.pairs)
+    reader = PairReader(
+        job.run_path, StereoCalibration.from_dict(job.calibration), job.pairs, job.corrections
+    )
     matcher = make_matcher(job.matcher, job.settings)
     interior = Interior.of(reader.rectification, table.rim_px)
 

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from thermacq.errors import ReconstructionError
 from thermacq.hooks import DisparityMatcher
+from thermacq.imaging import NO_CORRECTIONS, CorrectedPictures, Corrections
 from thermacq.plugins import plugins
 from thermacq.reconstruction.disparity_range import estimate_disparity_range
 from thermacq.reconstruction.pairs import RunPairs
@@ -28,7 +29,7 @@ _RANGE_KEYS = ("min_disparity", "max_disparity")
 
 @dataclass(frozen=True)
 class MatchingJob:
-    """Everything that a worker process needs to match pairs of a run; plain values only.
+    """Everything that a worker process needs to match pairs of a run; plain values and arrays only.
 
     Parameters
     ----------
@@ -42,6 +43,8 @@ class MatchingJob:
         Its settings, complete.
     pairs
         The pairs to match.
+    corrections
+        What is done to the pictures first.
     """
 
     run_path: Path
@@ -49,21 +52,32 @@ class MatchingJob:
     matcher: str
     settings: dict[str, Any]
     pairs: RunPairs
+    corrections: Corrections = NO_CORRECTIONS
 
 
 class PairReader:
-    """Rectified pairs of a run; a context manager that holds the file open."""
+    """Corrected and rectified pairs of a run; a context manager that holds the file open."""
 
-    def __init__(self, run_path: Path, calibration: StereoCalibration, pairs: RunPairs) -> None:
+    def __init__(
+        self,
+        run_path: Path,
+        calibration: StereoCalibration,
+        pairs: RunPairs,
+        corrections: Corrections = NO_CORRECTIONS,
+    ) -> None:
         self.rectification: Rectification = rectify(calibration)
         self._pairs = pairs
         self._run = open_run(run_path)
+        self._left, self._right = (
+            CorrectedPictures(self._run, camera, corrections)
+            for camera in (pairs.left_camera, pairs.right_camera)
+        )
 
     def read(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Rectified pair, two (rows, columns) float32 pictures in counts, NaN outside."""
         pairs = self._pairs
-        left = self._run.counts(pairs.left_camera, int(pairs.left[index]))
-        right = self._run.counts(pairs.right_camera, int(pairs.right[index]))
+        left = self._left.read(int(pairs.left[index]))
+        right = self._right.read(int(pairs.right[index]))
         return apply(self.rectification, left, right)
 
     def __enter__(self) -> Self:

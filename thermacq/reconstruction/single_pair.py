@@ -43,7 +43,7 @@ def match_pair(source: Source, index: int = 0) -> MatchedPair:
     ReconstructionError
         The matcher found nothing.
     """
-    with PairReader(source.run_path, source.calibration, source.pairs) as reader:
+    with PairReader(source.run_path, source.calibration, source.pairs, source.corrections) as reader:
         left, right = reader.read(index)
     disparity = make_matcher(source.matcher, source.settings).match(left, right)
     if not np.isfinite(disparity).any():

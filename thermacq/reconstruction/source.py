@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from thermacq import __version__
+from thermacq.imaging import Corrections, corrections_of
 from thermacq.reconstruction.matching import MatchingJob, PairReader, complete_settings
 from thermacq.reconstruction.pairs import RunPairs, find_calibration, run_pairs, select_frames
 from thermacq.rig import Rig
@@ -30,10 +31,13 @@ class Source:
     pairs: RunPairs
     matcher: str
     settings: dict[str, Any]
+    corrections: Corrections
 
     def job(self, pairs: RunPairs) -> MatchingJob:
         """What worker processes need to match some of the pairs."""
-        return MatchingJob(self.run_path, self.calibration.to_dict(), self.matcher, self.settings, pairs)
+        return MatchingJob(
+            self.run_path, self.calibration.to_dict(), self.matcher, self.settings, pairs, self.corrections
+        )
 
     def provenance(self) -> dict[str, Any]:
         """Where a product of this source comes from, as plain values."""
@@ -45,6 +49,7 @@ class Source:
             "calibration_sha256": self.calibration.sha256,
             "matcher": self.matcher,
             "matcher_settings": self.settings,
+            "correction": self.corrections.provenance(),
             "simulated": self.header.simulated,
             "thermacq_version": __version__,
         }
@@ -68,6 +73,8 @@ def open_source(
     matcher: str | None = None,
     settings: Mapping[str, Any] | None = None,
     pair: str | None = None,
+    correction_files: Sequence[Path] = (),
+    correct: bool = True,
 ) -> Source:
     """Check that a run can be reconstructed and complete the settings.
 
@@ -85,23 +92,30 @@ def open_source(
         Its settings, over those of the rig when the matcher is the rig's.
     pair
         Which pair of cameras, where there are several; see `camera_sides`.
+    correction_files
+        Corrections of the cameras' pictures; empty: those stored with the run.
+    correct
+        False: pictures as the cameras delivered them.
 
     Raises
     ------
     ThermacqError
         Something is missing, damaged or does not fit.
     thermacq_calibration.CalibrationError
-        The calibration record is damaged, or of a rig that cannot be rectified.
+        The calibration record or a correction is damaged, or of a rig that cannot be rectified.
     """
     with open_run(run_path) as run:
         rig = run.rig
         record = find_calibration(run, calibration, pair)
         pairs = select_frames(run_pairs(run, pair), frames)
+        corrections = corrections_of(run, correction_files, use=correct)
         header, run_sha256 = run.header, run.sha256()
     table = rig.reconstruction
     name = matcher or table.matcher
     wanted = {**(table.matcher_settings if name == table.matcher else {}), **(settings or {})}
-    with PairReader(run_path, record, pairs) as reader:
+    with PairReader(run_path, record, pairs, corrections) as reader:
         complete = complete_settings(reader, len(pairs), name, wanted)
         rectification = reader.rectification
-    return Source(run_path, run_sha256, header, rig, record, rectification, pairs, name, complete)
+    return Source(
+        run_path, run_sha256, header, rig, record, rectification, pairs, name, complete, corrections
+    )

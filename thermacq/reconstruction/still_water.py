@@ -92,7 +92,9 @@ def check_flat(frame: WorldFrame, largest_sigma_m: float | None = None) -> None:
 
 
 def _mean_of_part(job: MatchingJob) -> PartMaker:
-    reader = PairReader(job.run_path, StereoCalibration.from_dict(job.calibration), job.pairs)
+    reader = PairReader(
+        job.run_path, StereoCalibration.from_dict(job.calibration), job.pairs, job.corrections
+    )
     matcher = make_matcher(job.matcher, job.settings)
 
     def make(members: range) -> dict[str, NDArray[Any]]:
