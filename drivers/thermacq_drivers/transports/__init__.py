@@ -1,0 +1,1 @@
+"""What drivers share: reading framed bytes from a serial port and finding and asking USB devices."""
