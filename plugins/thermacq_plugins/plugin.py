@@ -1,4 +1,4 @@
-"""Entry point of the built-in matchers and exporters; imports nothing heavy."""
+"""Entry point of the built-in matchers, correction stages and exporters; imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -6,11 +6,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from thermacq.hooks import DisparityMatcher, Exporter, Matcher, hookimpl
+from thermacq.hooks import (
+    CorrectionStage,
+    DisparityMatcher,
+    Exporter,
+    Matcher,
+    PictureCorrection,
+    hookimpl,
+)
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from thermacq_plugins.destriping import DestripingSettings
     from thermacq_plugins.sgbm import SgbmSettings
 
 
@@ -23,6 +31,20 @@ def thermacq_matchers() -> Sequence[Matcher]:
             summary="OpenCV's semi-global matching, refined to hundredths of a pixel on smooth surfaces",
             settings=_sgbm_settings,
             make=_make_sgbm,
+        )
+    ]
+
+
+@hookimpl
+def thermacq_correction_stages() -> Sequence[CorrectionStage]:
+    """Built-in further corrections of pictures; none is on unless it is named."""
+    return [
+        CorrectionStage(
+            name="destriping",
+            summary="column noise as offsets, at high spatial frequency, learnt while the scene moves",
+            settings=_destriping_settings,
+            make=_make_destriping,
+            memory=_destriping_memory,
         )
     ]
 
@@ -47,6 +69,22 @@ def _make_sgbm(settings: BaseModel) -> DisparityMatcher:
     from thermacq_plugins.sgbm import SgbmMatcher
 
     return SgbmMatcher(cast("SgbmSettings", settings))
+
+
+def _destriping_settings() -> type[BaseModel]:
+    from thermacq_plugins.destriping import DestripingSettings
+
+    return DestripingSettings
+
+
+def _make_destriping(settings: BaseModel) -> PictureCorrection:
+    from thermacq_plugins.destriping import Destriping
+
+    return Destriping(cast("DestripingSettings", settings))
+
+
+def _destriping_memory(settings: BaseModel) -> int:
+    return cast("DestripingSettings", settings).memory_pictures
 
 
 def _write_ply(product: Path, output: Path, frame: int) -> None:

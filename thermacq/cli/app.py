@@ -14,6 +14,7 @@ from thermacq.cli import (
     calibrate,
     calibration,
     common,
+    correction,
     demo,
     devices,
     evaluation,
@@ -45,6 +46,7 @@ app.command("recover")(store.recover)
 app.command("import")(store.import_)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(calibration.app, name="calibration")
+app.add_typer(correction.app, name="correction")
 app.command("still-water")(reconstruction.still_water)
 app.command("reconstruct")(reconstruction.reconstruct)
 app.command("disparity")(reconstruction.disparity)
