@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 @hookimpl
 def thermacq_drivers() -> Sequence[Driver]:
     """Built-in drivers."""
-    from thermacq_drivers import testpattern
+    from thermacq_drivers import gige, pulse_pal, testpattern
     from thermacq_drivers.simflume.drivers import DRIVERS
 
-    return (testpattern.DRIVER, *DRIVERS)
+    return (testpattern.DRIVER, gige.DRIVER, pulse_pal.DRIVER, *DRIVERS)
 
 
 @hookimpl
