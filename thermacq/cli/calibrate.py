@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from thermacq.cli import calibrate_probe
 from thermacq.cli.calibration import AsJson, Output, advise, refuse_existing, show_record
 from thermacq.cli.common import err, out, print_json
 
@@ -29,6 +30,10 @@ class CamerasFirst(TyperGroup):
 
 
 app = typer.Typer(cls=CamerasFirst, no_args_is_help=True)
+
+
+app.command("probe")(calibrate_probe.probe)
+app.command("probe-drift")(calibrate_probe.probe_drift)
 
 
 @app.callback()
@@ -54,6 +59,9 @@ def cameras(
         int | None,
         typer.Option(min=1, help="Run file: pairs per pose; default: whenever the board stands still."),
     ] = None,
+    pair: Annotated[
+        str | None, typer.Option(help="Run file: pair of the rig, or cameras LEFT,RIGHT; default: the first.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Calibrate two cameras from views of a chessboard.
@@ -66,10 +74,10 @@ def cameras(
     if bool(left) != bool(right) or bool(left) == bool(sources):
         raise typer.BadParameter("give a SOURCE, or both --left and --right")
     if sources:
-        with open_views(sources, frames_per_view) as pictures:
+        with open_views(sources, frames_per_view, pair) as pictures:
             board = _board(sources, columns, rows, square_m)
             calibration = _calibrate(pictures, board, " ".join(map(str, sources)), as_json)
-        calibration = replace(calibration, serials=serials_of(sources))
+        calibration = replace(calibration, serials=serials_of(sources, pair))
     else:
         board = _board([], columns, rows, square_m)
         calibration = _calibrate(_globbed(left, right), board, f"{left} {right}", as_json)

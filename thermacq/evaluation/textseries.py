@@ -8,6 +8,7 @@ semicolons and tabs a decimal comma is understood. Empty cells and ``nan`` are m
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,18 @@ def read_series(
         values = _column(path, table, names, value_column or "1")
         times = np.arange(values.size) / rate_hz
     return times, values * METRES_PER_UNIT[unit]
+
+
+def read_columns(path: Path, columns: Sequence[str]) -> list[Series]:
+    """Read some columns of a table of numbers, by name or by number from 1; missing values are NaN.
+
+    Raises
+    ------
+    ImportDataError
+        The file cannot be read as a table of numbers, or has no such column.
+    """
+    names, table = _read_table(path)
+    return [_column(path, table, names, column) for column in columns]
 
 
 def _read_table(path: Path) -> tuple[list[str], Series]:
