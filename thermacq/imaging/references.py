@@ -100,7 +100,7 @@ def serials_of(path: Path) -> dict[str, str]:
 def _view(run: RunFile, camera: str, reference: Reference) -> ReferenceView:
     from thermacq_calibration import observe
 
-    chosen, temperature_k = _frames(run, camera, reference)
+    chosen, temperature_k = frames_of(run, camera, reference)
     table = run.frames(camera)
     inside_k = table.fpa_temperature_k[chosen]
     known_k = inside_k[np.isfinite(inside_k)]
@@ -112,8 +112,14 @@ def _view(run: RunFile, camera: str, reference: Reference) -> ReferenceView:
     )
 
 
-def _frames(run: RunFile, camera: str, reference: Reference) -> tuple[NDArray[np.intp], float | None]:
-    """Positions of the frames that are meant, and the temperature that they show."""
+def frames_of(run: RunFile, camera: str, reference: Reference) -> tuple[NDArray[np.intp], float | None]:
+    """Positions of the frames that are meant, and the temperature that they show, None where it is not known.
+
+    Raises
+    ------
+    CorrectionError
+        There are none, or they show several temperatures of which none was chosen.
+    """
     table = run.frames(camera)
     is_wanted = (table.flags & _SPOILT) == 0
     number = np.arange(len(table))
