@@ -1,4 +1,4 @@
-"""Figures around the noise of a camera: signal transfer function (SiTF), NETD, spectra, uniformity."""
+"""Figures around the noise of a camera: signal transfer function (SiTF), NETD, non-uniformity, spectra."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.noise import Noise3D
+from thermacq_calibration.radiometry import radiometric_scale
 
 Floats = NDArray[np.float64]
 FEWEST_TEMPERATURES = 3
@@ -71,18 +72,11 @@ def fit_sitf(temperatures_k: Sequence[float], levels: Sequence[float]) -> Sitf:
             f"the temperatures span only {np.ptp(t):.3g} K: noise would decide the slope",
             remedy=f"Let them span {_LEAST_SPAN_K:g} K or more.",
         )
-    from_mean = t - t.mean()
-    spread = float(from_mean @ from_mean)
-    slope = float(from_mean @ s) / spread
-    residual = s - s.mean() - slope * from_mean
-    error = math.sqrt(float(residual @ residual) / (len(t) - 2) / spread)
-    if slope <= 0:
-        raise CalibrationError(
-            f"the mean level falls by {-slope:.3g} counts per kelvin",
-            remedy="Check the temperature that is given with each run, and that each shows the uniform view.",
-        )
-    worst = float(np.abs(residual).max())
-    return Sitf(slope, error, worst, tuple(t.tolist()), tuple(s.tolist()))
+    line = radiometric_scale(t.tolist(), s.tolist())
+    residual = line.residual_k * line.counts_per_kelvin
+    return Sitf(
+        line.counts_per_kelvin, line.slope_error or 0.0, residual, tuple(t.tolist()), tuple(s.tolist())
+    )
 
 
 def in_kelvin(counts: float, freedom: float, sitf: Sitf) -> Figure:
@@ -115,6 +109,22 @@ def _freedom(noise: Noise3D, name: str) -> float:
     return float(math.prod(freedom[axis] for axis in name))
 
 
+def likeness_of_neighbours(picture: Floats) -> float:
+    """Correlation of diagonal neighbours, once rows, columns and what is smooth over 20 px are taken out.
+
+    The fixed pattern of a sensor is new in each pixel: about 0. What a lens has drawn is not: 0.3 and more.
+    """
+    import cv2
+
+    left = picture - picture.mean(axis=1, keepdims=True) - (picture.mean(axis=0) - picture.mean())
+    left = left - cv2.GaussianBlur(left, (0, 0), 8.5, borderType=cv2.BORDER_REFLECT)
+    # A few bad pixels shall not decide.
+    bound = 5 * float(np.median(np.abs(left)))
+    left = np.clip(left, -bound, bound)
+    square = float(np.mean(left**2))
+    return float(np.mean(left[1:, 1:] * left[:-1, :-1])) / square if square > 0 else 0.0
+
+
 def line_spectrum(picture: Floats, axis: int) -> tuple[Floats, Floats]:
     """One-sided power spectral density along rows (axis 1) or columns (axis 0), mean over all of them.
 
@@ -142,19 +152,3 @@ def line_spectrum(picture: Floats, axis: int) -> tuple[Floats, Floats]:
     if count % 2 == 0:
         density[-1] /= 2
     return np.arange(1, len(density)) / count, density[1:]
-
-
-def large_scale_range(picture: Floats, bad_pixels: NDArray[np.bool_] | None = None) -> float:
-    """Peak-to-peak range of a picture after a blur of 20 px (Gaussian), bad pixels left out."""
-    import cv2
-
-    sigma_px = 20.0
-    good = np.ones(picture.shape, np.float32)
-    if bad_pixels is not None:
-        good[bad_pixels] = 0
-    middle = float(np.median(picture))
-    blurred, weight = (
-        cv2.GaussianBlur(values, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT)
-        for values in ((picture.astype(np.float32) - np.float32(middle)) * good, good)
-    )
-    return float(np.ptp(blurred / np.maximum(weight, 1e-3)))
