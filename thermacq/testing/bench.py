@@ -12,15 +12,17 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from thermacq.devices import DeviceContext, Settings
-from thermacq.errors import DeviceTimeout, ThermacqError
-from thermacq.hooks import Driver
+from thermacq.errors import DeviceFault, DeviceTimeout, ThermacqError
+from thermacq.hooks import Driver, Emulation, Emulator
 from thermacq.timing.clock import RealClock
+from thermacq.transports import RealTransports, Transports
 
 DEVICE_NAME = "under-test"
 VERB_TIMEOUT_S = 30.0
@@ -46,14 +48,25 @@ def demand(holds: bool, what: str) -> None:
 
 @dataclass(frozen=True)
 class Subject:
-    """The driver under test, and the settings to test it with."""
+    """The driver under test, the settings to test it with, and the emulator that plays its device (or None)."""
 
     driver: Driver
     settings: Settings = field(default_factory=dict)
+    emulator: Emulator | None = None
 
-    def bench(self, changed: Settings | None = None) -> Bench:
-        """Make a device that is not open yet; `changed` settings go over those of the subject."""
-        return Bench(self.driver, {**self.settings, **(changed or {})})
+    def bench(self, acted_fault: type[DeviceFault] | None = None) -> Bench:
+        """Make a device that is not open yet; `acted_fault` is a fault that it shall act out, of `faults`."""
+        settings = {**self.emulator.driver_settings, **self.settings} if self.emulator else self.settings
+        if acted_fault is None:
+            return Bench(self.driver, settings, self.emulator)
+        if self.emulator is not None and acted_fault in self.emulator.faults:
+            return Bench(self.driver, settings, self.emulator, self.emulator.faults[acted_fault])
+        return Bench(self.driver, {**settings, **self.driver.faults[acted_fault]}, self.emulator)
+
+    @property
+    def faults(self) -> frozenset[type[DeviceFault]]:
+        """Faults that the driver's own settings, or those of the emulator, can make the device act out."""
+        return frozenset(self.driver.faults) | frozenset(self.emulator.faults if self.emulator else ())
 
 
 class Bench:
@@ -65,15 +78,36 @@ class Bench:
         The driver under test.
     settings
         What `start` hands to ``configure``.
+    emulator
+        Plays the device while the bench stands; None tests the real one.
+    emulator_settings
+        How it plays it.
     """
 
-    def __init__(self, driver: Driver, settings: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        driver: Driver,
+        settings: Mapping[str, Any],
+        emulator: Emulator | None = None,
+        emulator_settings: Settings | None = None,
+    ) -> None:
         self.settings = dict(settings)
         self.clock = RealClock()
-        self._folder = tempfile.TemporaryDirectory(prefix="thermacq-")
-        self._worker = _Worker()
-        context = DeviceContext(DEVICE_NAME, self.clock, {}, Path(self._folder.name), settings=self.settings)
-        self.device: Any = self.do("make()", lambda: driver.make(context))
+        self._attached = ExitStack()
+        folder = Path(self._attached.enter_context(tempfile.TemporaryDirectory(prefix="thermacq-")))
+        self.transports: Transports = RealTransports()
+        try:
+            if emulator is not None:
+                emulation = Emulation(DEVICE_NAME, self.clock, folder, emulator_settings or {})
+                self.transports = self._attached.enter_context(emulator.attach(emulation))
+            self._worker = _Worker()
+            context = DeviceContext(
+                DEVICE_NAME, self.clock, {}, folder, self.transports, settings=self.settings
+            )
+            self.device: Any = self.do("make()", lambda: driver.make(context))
+        except BaseException:
+            self._attached.close()
+            raise
 
     def __enter__(self) -> Self:
         """Hand out the bench."""
@@ -92,7 +126,7 @@ class Bench:
                 raise
         finally:
             self._worker.end()
-            self._folder.cleanup()
+            self._attached.close()
 
     def start(self) -> None:
         """Open and configure the device."""

@@ -1,6 +1,8 @@
 """The conformance suite as pytest tests: one for each rule of the device interface.
 
 ``pytest --pyargs thermacq.testing.conformance --driver NAME [--driver-settings FILE.toml]``
+
+A driver whose device has an emulator is checked on that, unless ``--real-device`` is given.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ def _subject(config: pytest.Config) -> Subject:
     trouble = "say which driver to check: --driver NAME (`thermacq devices` lists them)"
     try:
         if name:
-            return Subject(plugins().driver(name), _settings(name, file) if file else {})
+            emulator = None if config.getoption("--real-device") else plugins().emulators().get(name)
+            return Subject(plugins().driver(name), _settings(name, file) if file else {}, emulator)
     except ThermacqError as error:
         trouble = str(error)
     raise pytest.Collector.CollectError(trouble)

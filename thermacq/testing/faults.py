@@ -1,6 +1,7 @@
 """What holds when a device fails: the typed error, in time, naming the device, and leaving it closable.
 
-Only drivers whose record names settings that act out a fault (``Driver.faults``) can be checked.
+Only drivers whose record, or whose emulator's, names settings that act out a fault can be checked
+(``Driver.faults``, ``Emulator.faults``).
 """
 
 from __future__ import annotations
@@ -47,9 +48,11 @@ def overrun(subject: Subject) -> None:
 
 def _act_out(subject: Subject, kind: type[DeviceFault]) -> None:
     """Run until the fault comes, then check it, and what can be done after it."""
-    if kind not in subject.driver.faults:
-        raise NotApplicable(f"the driver declares no settings that act out {kind.__name__} (Driver.faults)")
-    with subject.bench(subject.driver.faults[kind]) as bench:
+    if kind not in subject.faults:
+        raise NotApplicable(
+            f"neither driver nor emulator declares settings that act out {kind.__name__} (faults=...)"
+        )
+    with subject.bench(kind) as bench:
         bench.start()
         begin(subject.driver.kind, bench)
         host, stream = _host(subject.driver.kind, bench)
@@ -81,8 +84,9 @@ def _run_to_fault(
         if isinstance(host, FrameSink):
             host.advance()
         index += 1
-    settings = dict(subject.driver.faults[kind])
-    raise Nonconformity(f"{kind.__name__} did not come within {COMES_WITHIN_S:g} s with settings {settings}")
+    raise Nonconformity(
+        f"{kind.__name__} did not come within {COMES_WITHIN_S:g} s although the device acts it out"
+    )
 
 
 def _step(subject: Subject, bench: Bench, generator: Any, index: int) -> None:

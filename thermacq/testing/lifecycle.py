@@ -19,9 +19,8 @@ from thermacq.devices import (
     TriggerSource,
     WaveProbe,
 )
-from thermacq.testing.bench import Nonconformity, Subject, demand
+from thermacq.testing.bench import Bench, Nonconformity, Subject, demand
 from thermacq.testing.streams import begin, run_briefly
-from thermacq.transports import RealTransports
 
 SETTLE_S = 2.0
 _PROTOCOLS = {
@@ -48,15 +47,36 @@ def identity(subject: Subject) -> None:
 
 
 def discovery(subject: Subject) -> None:
-    """`discover` lists identities of this driver and raises nothing."""
+    """`discover` lists identities of this driver and raises nothing; an emulated device is found, as opened."""
+    with subject.bench() as bench:
+        found = [_discover(subject, bench) for _ in range(2)]
+        for item in found[0]:
+            demand(
+                isinstance(item, DeviceIdentity), f"discover() lists {item!r}: list DeviceIdentity records"
+            )
+        demand(found[0] == found[1], f"asked twice, discover() lists {found[0]}, then {found[1]}")
+        if subject.emulator is None:
+            return
+        demand(
+            len(found[0]) == 1,
+            f"discover() lists {len(found[0])} devices where one is emulated: look at the transports that it is "
+            "handed, not at the real ones",
+        )
+        opened = bench.verb("open")
+        one = found[0][0]
+        demand(
+            (one.driver, one.serial) == (opened.driver, opened.serial),
+            f"discover() calls the device {one}, open() calls it {opened}: make driver and serial the same",
+        )
+
+
+def _discover(subject: Subject, bench: Bench) -> list[DeviceIdentity]:
     try:
-        found = list(subject.driver.discover(RealTransports()))
+        return list(subject.driver.discover(bench.transports))
     except Exception as error:
         raise Nonconformity(
             f"discover() raised {type(error).__name__}: {error}: return an empty list when nothing is there"
         ) from error
-    for item in found:
-        demand(isinstance(item, DeviceIdentity), f"discover() lists {item!r}: list DeviceIdentity records")
 
 
 def capabilities(subject: Subject) -> None:

@@ -14,6 +14,7 @@ from thermacq.devices import (
     DeviceKind,
     Frame,
     SampleBlock,
+    TriggerCapabilities,
     TriggerMode,
     TriggerPulse,
 )
@@ -69,7 +70,14 @@ def begin(kind: DeviceKind, bench: Bench) -> None:
     elif kind is DeviceKind.WAVE_PROBE:
         bench.verb("arm")
     else:
-        bench.verb("arm", min(GENTLE_RATE_HZ, bench.capabilities.max_rate_hz), None)
+        bench.verb("arm", gentle_pulse_rate_hz(bench.capabilities), None)
+
+
+def gentle_pulse_rate_hz(declared: TriggerCapabilities) -> float:
+    """A gentle rate whose period lies on the grid of the source."""
+    step_s = declared.period_step_s
+    period_s = 1 / min(GENTLE_RATE_HZ, declared.max_rate_hz)
+    return 1 / (max(1, round(period_s / step_s)) * step_s if step_s > 0 else period_s)
 
 
 def run_briefly(kind: DeviceKind, bench: Bench, leave_running: bool = False) -> None:

@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 _SLICE_S = 0.05
 
 
-def find_port(
-    nodes: Sequence[SerialNode], device: str, *, serial_number: str = "", path: str = ""
-) -> SerialNode:
+def find_port(nodes: Sequence[SerialNode], device: str, *, serial: str = "", path: str = "") -> SerialNode:
     """Choose the port of a device among those that exist.
 
     Parameters
@@ -32,7 +30,7 @@ def find_port(
         Candidates, e.g. those with the right USB ids.
     device
         Name of the device in the rig, for messages.
-    serial_number, path
+    serial, path
         What the rig says; empty accepts any, if there is only one.
 
     Raises
@@ -42,8 +40,8 @@ def find_port(
     DeviceFault
         There are several and nothing says which.
     """
-    fitting = [node for node in nodes if serial_number in ("", node.serial) and path in ("", node.path)]
-    wanted = serial_number or path
+    fitting = [node for node in nodes if serial in ("", node.serial) and path in ("", node.path)]
+    wanted = serial or path
     if not fitting:
         seen = ", ".join(node.serial or node.path for node in nodes) or "none"
         what = f"serial port of '{wanted}' was not found" if wanted else "its serial port was not found"
@@ -59,7 +57,7 @@ def find_port(
             device,
             "open",
             f"several devices fit: {seen}",
-            remedy='Say in its settings which one is meant: serial_number = "...".',
+            remedy="Say in the rig which one is meant: its serial, or its port where it has none.",
         )
     return fitting[0]
 

@@ -54,8 +54,8 @@ class UsbPort:
         Where to look.
     ids
         (vid, pid) that are taken.
-    serial_number
-        What the rig says; empty accepts any, if there is only one.
+    serial
+        Serial number that the rig expects; empty accepts any, if there is only one.
     interfaces
         Interfaces to claim; a driver of the kernel that holds one is detached.
 
@@ -72,11 +72,11 @@ class UsbPort:
         device: str,
         transports: Transports,
         ids: Sequence[tuple[int, int]],
-        serial_number: str = "",
+        serial: str = "",
         interfaces: Sequence[int] = (0,),
     ) -> None:
         self._name = device
-        self.device = self._choose(find_devices(transports, ids), serial_number)
+        self.device = self._choose(find_devices(transports, ids), serial)
         with self._faults("open"):
             self.device.set_configuration()
         self._claim(interfaces)
@@ -93,7 +93,7 @@ class UsbPort:
                 self._name,
                 "open",
                 f"several devices fit: {seen}",
-                remedy='Say in its settings which one is meant: serial_number = "...".',
+                remedy="Say in the rig which one is meant: its serial.",
             )
         return fitting[0]
 

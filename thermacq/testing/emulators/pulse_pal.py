@@ -32,7 +32,8 @@ from thermacq.timing.clock import NS_PER_S
 from thermacq.timing.trigger_line import LineWriter
 from thermacq.transports import SerialNode, Transports
 
-VID, PID = 0x1EAF, 0x0004
+# Arduino Due, native port: the board inside a Pulse Pal 2.
+VID, PID = 0x2341, 0x003E
 CYCLES_PER_S = 20_000
 # What a logic input takes for high.
 _HIGH_V = 2.0
@@ -212,6 +213,12 @@ class PulsePalBox:
             line.finish_session()
         self.outputs[channel].first_cycle = None
 
+    def let_go(self) -> None:
+        """End all trains and let go of the lines."""
+        self._abort()
+        self._lines = [None] * _CHANNELS
+        self.port = None
+
     def due_ns(self) -> int | None:
         """Host time of the next pulse of any output."""
         cycles = [cycle for output in self.outputs if (cycle := output.next_cycle()) is not None]
@@ -273,11 +280,12 @@ def attach(emulation: Emulation) -> Iterator[Transports]:
     """Bring a box to life behind a pseudo-terminal."""
     settings = PulsePalEmulation.model_validate(dict(emulation.settings))
     box = PulsePalBox(emulation, settings)
-    node = SerialNode("", VID, PID, settings.serial_for(emulation.name), "Maple")
+    node = SerialNode("", VID, PID, settings.serial_for(emulation.name), "Arduino Due")
     schedule = schedule_for(emulation, settings)
     with PtyPort(box, node, emulation.clock, schedule, drives_time=False) as port:
         box.port = port
         yield EmulatedTransports(serial=[port])
+    box.let_go()
 
 
 EMULATOR = Emulator(
