@@ -31,6 +31,7 @@ _RATE_TOLERANCE = 0.02
 _PARTING_S = 15.0
 _PTP_POLL_S = 0.25
 _PTP_LOCKED = ("Slave", "Master")
+_NOT_OPEN = CameraCapabilities(0, 0, 0, 0.0, frozenset())
 
 
 def identity_of(found: FoundCamera) -> DeviceIdentity:
@@ -49,15 +50,13 @@ class GigeCamera:
         self._serial = context.serial or str(context.settings.get("serial", ""))
         self._address = str(context.settings.get("address", ""))
         self._link: AravisLink | None = None
-        self._capabilities: CameraCapabilities | None = None
+        self._capabilities = _NOT_OPEN
         self._acquisition: Acquisition | None = None
         self._parting: threading.Thread | None = None
 
     @property
     def capabilities(self) -> CameraCapabilities:
-        """What the camera declares with the settings in force."""
-        if self._capabilities is None:
-            raise self._fault(DeviceFault, "capabilities", "it is not open")
+        """What the camera declares with the settings in force; nothing before it is open."""
         return self._capabilities
 
     def open(self) -> DeviceIdentity:
@@ -152,7 +151,7 @@ class GigeCamera:
         """Let go of the camera."""
         self.disarm()
         link, self._link = self._link, None
-        self._capabilities = None
+        self._capabilities = _NOT_OPEN
         if link is None:
             return
         if not link.lost:
