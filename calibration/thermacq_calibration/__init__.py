@@ -6,6 +6,8 @@ from thermacq_calibration.corrector import Corrector
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.judgement import findings
 from thermacq_calibration.models import Board, BoardKind, CameraModel, ViewReport
+from thermacq_calibration.nonuniformity import make_correction, update_offset, with_outliers
+from thermacq_calibration.radiometry import RadiometricScale, radiometric_scale
 from thermacq_calibration.record import StereoCalibration, load_calibration
 from thermacq_calibration.rectification import (
     Rectification,
@@ -15,6 +17,8 @@ from thermacq_calibration.rectification import (
     rectify_points,
     vertical_differences_px,
 )
+from thermacq_calibration.reference_view import ReferenceView, observe
+from thermacq_calibration.shading import with_shading
 from thermacq_calibration.stereo import View, calibrate_stereo
 from thermacq_calibration.targets import (
     FRAMES_TO_AVERAGE,
@@ -23,6 +27,7 @@ from thermacq_calibration.targets import (
     average,
     detect_board,
 )
+from thermacq_calibration.uniformity import Uniformity, uniformity
 
 __all__ = [
     "FRAMES_TO_AVERAGE",
@@ -35,9 +40,12 @@ __all__ = [
     "Corrector",
     "Detection",
     "NoBoard",
+    "RadiometricScale",
     "Rectification",
+    "ReferenceView",
     "Resampling",
     "StereoCalibration",
+    "Uniformity",
     "View",
     "ViewReport",
     "apply",
@@ -49,7 +57,14 @@ __all__ = [
     "findings",
     "load_calibration",
     "load_correction",
+    "make_correction",
+    "observe",
+    "radiometric_scale",
     "rectify",
     "rectify_points",
+    "uniformity",
+    "update_offset",
     "vertical_differences_px",
+    "with_outliers",
+    "with_shading",
 ]

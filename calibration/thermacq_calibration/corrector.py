@@ -61,14 +61,17 @@ class Corrector:
         return tuple(name for name, is_used in used.items() if is_used)
 
     def __call__(
-        self, counts: NDArray[np.uint16], fpa_temperature_k: float = math.nan, out: Picture | None = None
+        self,
+        counts: NDArray[np.uint16] | Picture,
+        fpa_temperature_k: float = math.nan,
+        out: Picture | None = None,
     ) -> Picture:
         """Correct a picture.
 
         Parameters
         ----------
         counts
-            (rows, columns) uint16, raw; left as they are.
+            (rows, columns) uint16, raw, or float32 of a mean of raw pictures; left as they are.
         fpa_temperature_k
             Temperature of the camera with this picture; NaN (unknown): shading as it was measured.
         out

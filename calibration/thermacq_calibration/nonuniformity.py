@@ -1,0 +1,270 @@
+"""Makes the correction of a camera from uniform views, and brings its offsets up to date.
+
+Two-point correction, with <> the mean over good pixels and Y1, Y2 the temporal means of the two views:
+G = (<Y2> - <Y1>) / (Y2 - Y1), O = <Y1> - G Y1, Z = G Y + O (Budzier and Gerlach, J. Sens. Sens. Syst. 4:187,
+2015). One-point: G = 1. Bad pixels are searched after each stage.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermacq_calibration.bad_pixels import (
+    Mask,
+    blinking_pixels,
+    dead_pixels,
+    noisy_pixels,
+    outlying_pixels,
+)
+from thermacq_calibration.correction import BadPixel, CameraCorrection, Picture
+from thermacq_calibration.errors import CalibrationError
+from thermacq_calibration.radiometry import radiometric_scale
+from thermacq_calibration.reference_view import ReferenceView
+from thermacq_calibration.uniformity import correct_mean
+
+SMALLEST_SPAN_K = 1.0
+_SMALLEST_SPAN_NOISE = 30.0
+# Two views without known temperature must differ by so many times the temporal noise: about 1 K.
+_LARGEST_BAD_SHARE = 0.05
+
+
+def make_correction(
+    views: Sequence[ReferenceView],
+    check: ReferenceView | None = None,
+    *,
+    serial: str,
+    camera: str,
+    shutter: ReferenceView | None = None,
+    made_from: Mapping[str, Any] | None = None,
+) -> CameraCorrection:
+    """Make the correction of one camera.
+
+    Parameters
+    ----------
+    views
+        One uniform view (one-point: offsets only) or two, a colder and a warmer one (two-point).
+    check
+        A third view at another temperature, best between the two: outlying pixels show there only. It does
+        not go into gains and offsets.
+    serial, camera
+        Of the camera that took the views.
+    shutter
+        The camera's internal shutter at the time of the views, for later updates of the offsets.
+    made_from
+        Further plain values to keep in the record.
+
+    Raises
+    ------
+    CalibrationError
+        The views do not fit each other, are at equal or swapped temperatures, or too many pixels are bad.
+    """
+    if len(views) not in (1, 2):
+        raise CalibrationError(
+            f"a correction is made from one or two uniform views, not {len(views)}",
+            remedy="Give further views for the check.",
+        )
+    extra = [view for view in (check, shutter) if view is not None]
+    _check_sizes([*views, *extra])
+    bad = _bad_in_time([*views, *extra])
+    if len(views) == 1:
+        gain = np.ones(views[0].mean.shape, np.float32)
+    else:
+        _check_temperatures(*views)
+        response = views[1].mean - views[0].mean
+        bad |= dead_pixels(response)
+        gain = _gain(response, bad)
+    _check_share(bad)
+    level = float(views[0].mean[bad == 0].mean(dtype=np.float64))
+    offset = np.where(_responds(bad), level - gain * views[0].mean, 0).astype(np.float32)
+    correction = CameraCorrection(
+        serial,
+        camera,
+        gain,
+        offset,
+        bad,
+        shutter=None if shutter is None else shutter.mean,
+        made_from={**(made_from or {}), "views": [view.facts for view in views]},
+        fpa_temperature_k=_mean_or_none([view.fpa_temperature_k for view in views]),
+    )
+    correction = _with_scale(correction, [*views, *([] if check is None else [check])])
+    if check is not None:
+        correction = with_outliers(correction, check)
+    return correction
+
+
+def update_offset(
+    correction: CameraCorrection, shutter: ReferenceView, behind_lens: bool = False
+) -> CameraCorrection:
+    """New offsets from a later uniform view; gains and bad pixels stay, new bad pixels are added.
+
+    A cap, plate or blackbody before the lens shows all that changed: the corrected picture of it becomes flat,
+    and shading that was known before is dropped as it is contained. Where the temperature of the view and
+    the radiometric scale are known, its level becomes right too, otherwise it stays.
+
+    A shutter between lens and sensor does not show the shading of the lens. What changed since the shutter
+    frames of the record is taken away, without its mean, and the shading stays in force.
+
+    Parameters
+    ----------
+    correction
+        The record so far; it is left as it is.
+    shutter
+        The view.
+    behind_lens
+        Whether the shutter is one between lens and sensor.
+
+    Raises
+    ------
+    CalibrationError
+        Another size, or no shutter frames in the record where they are needed.
+    """
+    if shutter.mean.shape != correction.shape:
+        raise CalibrationError(f"{shutter.label} has another size than the correction")
+    bad = correction.bad_pixels | _bad_in_time([shutter])
+    _check_share(bad)
+    good = bad == 0
+    now = replace(correction, bad_pixels=bad, offset_updated=datetime.now(UTC).isoformat(timespec="seconds"))
+    history = {**correction.made_from, "offset_view": {**shutter.facts, "behind_lens": behind_lens}}
+    if behind_lens:
+        if correction.shutter is None:
+            raise CalibrationError(
+                f"the correction of camera '{correction.camera}' does not know its shutter when it was made",
+                remedy="Make it again with shutter frames, or update from a uniform view before the lens.",
+            )
+        change = correction.gain * (shutter.mean - correction.shutter)
+        change -= change[good].mean(dtype=np.float64)
+        offset = np.where(_responds(bad), correction.offset - change, 0)
+        return replace(now, offset=offset, shutter=shutter.mean, made_from=history)
+    seen = correction.gain * shutter.mean + correction.offset
+    level = float(seen[good].mean(dtype=np.float64))
+    if shutter.temperature_k is not None and correction.counts_per_kelvin and correction.kelvin_at_zero:
+        level = (shutter.temperature_k - correction.kelvin_at_zero) * correction.counts_per_kelvin
+    return replace(
+        now,
+        offset=np.where(_responds(bad), correction.offset + (level - seen), 0),
+        shading=None,
+        shading_temperature_k=None,
+        shading_zero_k=None,
+        # A shutter frame of another moment no longer belongs to these offsets.
+        shutter=None,
+        fpa_temperature_k=shutter.fpa_temperature_k,
+        made_from=history,
+    )
+
+
+def with_outliers(correction: CameraCorrection, view: ReferenceView) -> CameraCorrection:
+    """The correction with pixels added that stay noisy, blink or lie apart in a corrected uniform view.
+
+    Parameters
+    ----------
+    correction
+        The record so far.
+    view
+        A uniform view at a temperature that did not go into the offsets.
+
+    Raises
+    ------
+    CalibrationError
+        The view has another size, or too many pixels are bad.
+    """
+    bad = correction.bad_pixels | _bad_in_time([view])
+    correction = replace(correction, bad_pixels=bad)
+    corrected = correct_mean(correction, view)
+    bad = bad | outlying_pixels(corrected, bad)
+    _check_share(bad)
+    return replace(correction, bad_pixels=bad)
+
+
+def _check_sizes(views: Sequence[ReferenceView]) -> None:
+    for view in views[1:]:
+        if view.mean.shape != views[0].mean.shape:
+            raise CalibrationError(
+                f"{view.label} and {views[0].label} have pictures of different sizes",
+                remedy="Give views of one camera in one format.",
+            )
+
+
+def _check_temperatures(cold: ReferenceView, hot: ReferenceView) -> None:
+    """Two views must be told apart by temperature or counts, and rise together."""
+    rise = float(np.median(hot.mean - cold.mean))
+    if cold.temperature_k is not None and hot.temperature_k is not None:
+        span_k = hot.temperature_k - cold.temperature_k
+        if abs(span_k) < SMALLEST_SPAN_K:
+            raise CalibrationError(
+                f"{cold.label} and {hot.label} are less than {SMALLEST_SPAN_K:g} K apart: gains would be noise",
+                remedy="Record the two at temperatures a few kelvin apart, around that of the water.",
+            )
+        if span_k * rise < 0:
+            raise CalibrationError(
+                f"counts fall by {abs(rise):.0f} from the colder to the warmer view, though they should rise",
+                remedy="The temperatures of the two views may be swapped; correct them.",
+            )
+    noise = max(float(np.median(view.noise)) for view in (cold, hot))
+    if abs(rise) < _SMALLEST_SPAN_NOISE * noise:
+        raise CalibrationError(
+            f"{cold.label} and {hot.label} differ by {abs(rise):.0f} counts only, at a noise of {noise:.1f}: "
+            "gains would be noise",
+            remedy="Check that both views were really taken, and are at temperatures a few kelvin apart.",
+        )
+
+
+def _bad_in_time(views: Sequence[ReferenceView]) -> Mask:
+    bad = np.zeros(views[0].mean.shape, np.uint8)
+    for view in views:
+        bad |= noisy_pixels(view) | blinking_pixels(view)
+    return bad
+
+
+def _gain(response: Picture, bad: Mask) -> Picture:
+    mean = response[bad == 0].mean(dtype=np.float64)
+    gain = np.ones(response.shape, np.float32)
+    np.divide(mean, response, out=gain, where=_responds(bad), casting="same_kind")
+    return gain
+
+
+def _responds(bad: Mask) -> NDArray[np.bool_]:
+    """Where gain and offset mean something."""
+    responds: NDArray[np.bool_] = (bad & BadPixel.DEAD) == 0
+    return responds
+
+
+def _check_share(bad: Mask) -> None:
+    share = float((bad > 0).mean())
+    if share > _LARGEST_BAD_SHARE:
+        reasons = ", ".join(
+            f"{((bad & reason) > 0).mean():.1%} {str(reason.name).lower()}" for reason in BadPixel
+        )
+        raise CalibrationError(
+            f"{share:.1%} of the pixels would be bad ({reasons}): the views are hardly uniform or steady",
+            remedy="Fill the whole picture with the reference, let it settle, and record again.",
+        )
+
+
+def _with_scale(correction: CameraCorrection, views: Sequence[ReferenceView]) -> CameraCorrection:
+    """Add counts per kelvin and NETD where temperatures are known."""
+    known = [view for view in views if view.temperature_k is not None]
+    if len({view.temperature_k for view in known}) < 2:
+        return correction
+    good = correction.bad_pixels == 0
+    levels = [float(correct_mean(correction, view)[good].mean(dtype=np.float64)) for view in known]
+    scale = radiometric_scale([view.temperature_k or math.nan for view in known], levels)
+    noise = float(np.median([np.median((correction.gain * view.noise)[good]) for view in known]))
+    return replace(
+        correction,
+        counts_per_kelvin=scale.counts_per_kelvin,
+        kelvin_at_zero=scale.kelvin_at_zero,
+        netd_k=noise / scale.counts_per_kelvin,
+        made_from={**correction.made_from, "scale": asdict(scale)},
+    )
+
+
+def _mean_or_none(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if len(known) == len(values) else None
