@@ -50,7 +50,7 @@ def _act_out(subject: Subject, kind: type[DeviceFault]) -> None:
     """Run until the fault comes, then check it, and what can be done after it."""
     if kind not in subject.faults:
         raise NotApplicable(
-            f"neither driver nor emulator declares settings that act out {kind.__name__} (faults=...)"
+            f"the driver declares no settings that act out {kind.__name__} (Driver.faults), nor does an emulator"
         )
     with subject.bench(kind) as bench:
         bench.start()
