@@ -18,6 +18,7 @@ from thermacq.cli import (
     demo,
     devices,
     evaluation,
+    noise,
     reconstruction,
     recording,
     rig,
@@ -47,6 +48,7 @@ app.command("import")(store.import_)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(correction.app, name="correction")
+app.command("noise")(noise.noise)
 app.command("still-water")(reconstruction.still_water)
 app.command("reconstruct")(reconstruction.reconstruct)
 app.command("disparity")(reconstruction.disparity)
