@@ -57,7 +57,7 @@ class EmulatedTransports:
 
     def usb_backend(self) -> Any:
         """See `Transports.usb_backend`."""
-        from thermacq.testing.emulation.usb import EmulatedBackend
+        from thermacq.testing.emulation.usb_backend import EmulatedBackend
 
         return EmulatedBackend(self.usb)
 
