@@ -72,7 +72,7 @@ def make(
     for camera, one in made.items():
         _print_correction(one.correction)
         if one.checked is not None:
-            _print_uniformity(one.checked, one.correction)
+            _print_uniformity(one.checked)
         out.print(f"  written: {paths[camera]}", markup=False)
 
 
@@ -152,7 +152,7 @@ def check(
         print_json({**asdict(judged), "ok": not judged.warnings})
     else:
         _print_correction(correction)
-        _print_uniformity(judged.uniformity, correction)
+        _print_uniformity(judged.uniformity)
         for line in judged.lines():
             out.print(f"  {line}", markup=False)
         for warning in judged.warnings:
@@ -218,14 +218,17 @@ def _print_correction(correction: CameraCorrection) -> None:
     out.print(f"  bad pixels: {counts['all']} ({listed})", markup=False)
 
 
-def _print_uniformity(found: Uniformity, correction: CameraCorrection) -> None:
+def _print_uniformity(found: Uniformity) -> None:
     at = "" if found.temperature_k is None else f" at {found.temperature_k:g} K"
-    residual, large = f"{found.sigma_vh_counts:.2f} counts", f"{found.large_scale_counts:.1f} counts"
-    if correction.counts_per_kelvin is not None and found.sigma_vh_k is not None:
-        residual = f"{1000 * found.sigma_vh_k:.1f} mK"
-        large = f"{1000 * found.large_scale_counts / correction.counts_per_kelvin:.0f} mK"
+    figures = (found.sigma_vh_counts, found.sigma_v_counts, found.sigma_h_counts, found.large_scale_counts)
+    pixels, rows, columns, large = (_amount(found, counts) for counts in figures)
     out.print(
-        f"  residual non-uniformity{at}: {residual} ({found.per_netd:.2f} of the temporal noise, "
-        f"{found.per_cent:.3f} % of the mean); large-scale {large} peak to peak",
+        f"  residual non-uniformity{at}: {pixels} ({found.sigma_vh_per_netd:.2f} of the temporal noise), rows "
+        f"{rows}, columns {columns}, large-scale {large} peak to peak; in all {found.per_cent:.3f} % of the mean",
         markup=False,
     )
+
+
+def _amount(found: Uniformity, counts: float) -> str:
+    kelvin = found.kelvin(counts)
+    return f"{counts:.2f} counts" if kelvin is None else f"{1000 * kelvin:.1f} mK"

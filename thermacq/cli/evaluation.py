@@ -177,6 +177,10 @@ def report(
         Path | None,
         typer.Option("--calibration", "-c", help="Calibration record; default: the one stored in the run."),
     ] = None,
+    correction: Annotated[
+        list[Path] | None,
+        typer.Option("--correction", help="Correction file that the product was made with; repeatable."),
+    ] = None,
     title: Annotated[str, typer.Option("--title", help="Heading of the page.")] = "",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing page.")] = False,
 ) -> None:
@@ -186,7 +190,15 @@ def report(
     if not overwrite:
         _must_be_new(output)
     with err.status("making the report"):
-        notes = write_report(product, output, run=run, still=still, calibration=calibration, title=title)
+        notes = write_report(
+            product,
+            output,
+            run=run,
+            still=still,
+            calibration=calibration,
+            correction_files=correction or (),
+            title=title,
+        )
     for note in notes:
         warn(note)
     out.print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB)", markup=False)

@@ -128,9 +128,9 @@ def _warnings(
     found: Uniformity, warming_k: float | None, predicted_netd: float | None, planned_s: float
 ) -> list[str]:
     warnings = []
-    if found.per_netd > LARGEST_RESIDUAL_NETD:
+    if found.sigma_vh_per_netd > LARGEST_RESIDUAL_NETD:
         warnings.append(
-            f"the residual non-uniformity is {found.per_netd:.2f} of the temporal noise, more than "
+            f"the residual non-uniformity is {found.sigma_vh_per_netd:.2f} of the temporal noise, more than "
             f"{LARGEST_RESIDUAL_NETD:g}: update the offsets by a shutter or uniform view"
         )
     if warming_k is not None and abs(warming_k) > LARGEST_WARMING_K:
@@ -157,11 +157,10 @@ def _age_s(correction: CameraCorrection, start_time: str) -> float | None:
 def _growth_netd(correction: CameraCorrection, found: Uniformity) -> float | None:
     """Growth since the check that was made with the correction; none is known after an update."""
     then = correction.made_from.get("check")
-    if correction.offset_updated or not isinstance(then, dict) or not found.per_netd:
+    if correction.offset_updated or not isinstance(then, dict):
         return None
     before = float(then["sigma_vh_counts"])
-    grown = math.sqrt(max(0.0, found.sigma_vh_counts**2 - before**2))
-    return grown * found.per_netd / found.sigma_vh_counts
+    return math.sqrt(max(0.0, found.sigma_vh_counts**2 - before**2)) / found.noise_counts
 
 
 def _source(correction: CameraCorrection, what: str) -> dict[str, Any]:

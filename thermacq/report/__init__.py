@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 __all__ = ["write_report"]
@@ -14,13 +15,14 @@ def write_report(
     run: Path | None = None,
     still: Path | None = None,
     calibration: Path | None = None,
+    correction_files: Sequence[Path] = (),
     title: str = "",
 ) -> tuple[str, ...]:
     """Write the report on a product; returns notes on what is missing or needs care.
 
     Parameters
     ----------
-    product, run, still, calibration, title
+    product, run, still, calibration, correction_files, title
         As in `thermacq.report.collect.collect`.
     output
         HTML file to write; it appears only when it is complete.
@@ -34,7 +36,9 @@ def write_report(
     from thermacq.report.collect import collect
     from thermacq.report.page import render
 
-    data = collect(product, run=run, still=still, calibration=calibration, title=title)
+    data = collect(
+        product, run=run, still=still, calibration=calibration, correction_files=correction_files, title=title
+    )
     page = render(data)
     unfinished = output.with_name(output.name + ".part")
     try:

@@ -5,7 +5,7 @@ What cannot be had is left out and said in a note, so that one damaged part neve
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +18,7 @@ from thermacq.errors import StoreError, ThermacqError
 from thermacq.evaluation import Flatness, flatness, quantisation_curve
 from thermacq.evaluation.probes import probe_label
 from thermacq.evaluation.run_comparison import RunComparison, compare_run
+from thermacq.imaging import CorrectedPictures
 from thermacq.reconstruction import Source, WorldFrame, match_pair, open_product, open_source
 from thermacq.report.data import (
     Coverage,
@@ -60,6 +61,7 @@ def collect(
     run: Path | None = None,
     still: Path | None = None,
     calibration: Path | None = None,
+    correction_files: Sequence[Path] = (),
     title: str = "",
 ) -> ReportData:
     """Everything that a report on a product can show.
@@ -74,6 +76,8 @@ def collect(
         Product of still water.
     calibration
         Calibration record; None: the one stored with the run.
+    correction_files
+        Corrections of the pictures; empty: those stored with the run. None are used that the product did not use.
     title
         Heading; empty: the title of the product.
 
@@ -89,7 +93,7 @@ def collect(
         parts = _Parts()
         if run is not None:
             with open_run(run) as opened:
-                _from_run(parts, dataset, opened, index, calibration)
+                _from_run(parts, dataset, opened, index, calibration, correction_files)
         still_flatness = _still(still, parts.notes) if still is not None else None
         quantisation = _quantisation(dataset, parts)
         return ReportData(
@@ -115,7 +119,14 @@ def collect(
         )
 
 
-def _from_run(parts: _Parts, dataset: xr.Dataset, run: RunFile, index: int, calibration: Path | None) -> None:
+def _from_run(
+    parts: _Parts,
+    dataset: xr.Dataset,
+    run: RunFile,
+    index: int,
+    calibration: Path | None,
+    correction_files: Sequence[Path],
+) -> None:
     """Fill in everything that needs the run."""
     if dataset.attrs.get("run_id") != run.header.run_id:
         raise StoreError(
@@ -145,23 +156,32 @@ def _from_run(parts: _Parts, dataset: xr.Dataset, run: RunFile, index: int, cali
         for event in events[:_MOST_EVENTS]
     )
     try:
-        parts.source = _source(dataset, run, calibration)
+        parts.source = _source(dataset, run, calibration, correction_files)
         parts.sample = _sample(dataset, run, parts.source, index, parts.notes)
     except (ThermacqError, CalibrationError) as error:
         parts.notes.append(f"frames and disparity are not shown: {error.what}")
 
 
-def _source(dataset: xr.Dataset, run: RunFile, calibration: Path | None) -> Source:
+def _source(
+    dataset: xr.Dataset, run: RunFile, calibration: Path | None, correction_files: Sequence[Path]
+) -> Source:
     """The run as the product used it."""
+    corrected = json_table(dataset, "correction")
+    is_corrected = bool(corrected.get("cameras") or corrected.get("stages"))
     source = open_source(
         run.path,
         calibration=calibration,
         matcher=str(dataset.attrs.get("matcher", "")),
         settings=json_table(dataset, "matcher_settings"),
+        correction_files=correction_files if is_corrected else (),
+        correct=is_corrected,
     )
     for what, found in (("run", source.run_sha256), ("calibration", source.calibration.sha256)):
         if dataset.attrs.get(f"{what}_sha256") != found:
             raise StoreError(f"the {what} is not the one that the product was made with (its hash differs)")
+    used = source.corrections.provenance()
+    if is_corrected and any(corrected.get(part) != used[part] for part in ("cameras", "stages")):
+        raise StoreError("the product was made with other corrections: give them with --correction")
     return source
 
 
@@ -170,6 +190,10 @@ def _sample(dataset: xr.Dataset, run: RunFile, source: Source, index: int, notes
     time_s = float(dataset["time"][index])
     pairs = source.pairs
     pair = int(np.argmin(np.abs(pairs.time_s - time_s)))
+    left, right = (
+        CorrectedPictures(run, camera, source.corrections)
+        for camera in (pairs.left_camera, pairs.right_camera)
+    )
     disparity: NDArray[np.float32] | None = None
     try:
         disparity = match_pair(source, pair).disparity
@@ -178,8 +202,8 @@ def _sample(dataset: xr.Dataset, run: RunFile, source: Source, index: int, notes
     return SampleFrame(
         index=index,
         time_s=time_s,
-        left=run.counts(pairs.left_camera, int(pairs.left[pair])),
-        right=run.counts(pairs.right_camera, int(pairs.right[pair])),
+        left=left.read(int(pairs.left[pair])),
+        right=right.read(int(pairs.right[pair])),
         disparity=disparity,
     )
 

@@ -26,7 +26,7 @@ class SampleFrame:
     time_s
         Seconds of the recording.
     left, right
-        (rows, columns) raw counts; None when the run was not given.
+        (rows, columns) counts, corrected as for the product; None when the run was not given.
     disparity
         (rows, columns) pixels of the left rectified picture, NaN where unknown; None when it could not be
         made.

@@ -219,7 +219,7 @@ def quantisation_plot(quantisation: Quantisation) -> str:
 
 
 def picture(counts: Picture) -> str:
-    """A raw frame as PNG, stretched from its 1st to its 99th percentile, as a data address."""
+    """A frame as PNG, stretched from its 1st to its 99th percentile, as a data address."""
     import cv2
 
     low, high = np.percentile(counts, [1, 99])

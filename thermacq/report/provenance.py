@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +69,7 @@ def provenance(
             "baseline": f"{1000 * _number(dataset, 'baseline_m'):.3f} mm",
             "focal length": f"{_number(dataset, 'focal_px'):.2f} px",
         },
+        "Correction of the pictures": _correction(dataset),
         "Matcher": {
             "name": str(attributes.get("matcher", "unknown")),
             **{name: str(value) for name, value in json_table(dataset, "matcher_settings").items()},
@@ -91,6 +93,30 @@ def provenance(
         label = probe_label(probe.name)
         sections[label[0].upper() + label[1:]] = _probe(probe)
     return sections
+
+
+def _all_tables(values: object) -> bool:
+    return isinstance(values, Iterable) and all(isinstance(value, dict) for value in values)
+
+
+def _correction(dataset: xr.Dataset) -> dict[str, str]:
+    values = json_table(dataset, "correction")
+    cameras, stages = values.get("cameras", {}), values.get("stages", [])
+    if not isinstance(cameras, dict) or not _all_tables(cameras.values()) or not _all_tables(stages):
+        return {"applied": "unknown"}
+    if not cameras and not stages:
+        return {"applied": "none" if values else "unknown"}
+    told = (
+        {"corrections from": "the run" if values.get("from") == "run" else "files given"} if cameras else {}
+    )
+    for name, facts in cameras.items():
+        updated = f", offsets of {facts['offset_updated']}" if facts.get("offset_updated") else ""
+        told[f"{name}: stages"] = ", ".join(facts.get("stages", ()))
+        told[f"{name}: made"] = f"{facts.get('created', 'unknown')}{updated}"
+        told[f"{name}: SHA-256"] = str(facts.get("sha256", "unknown"))
+    for stage in stages:
+        told[f"stage {stage.get('name')}"] = json.dumps(stage.get("settings", {}))
+    return told
 
 
 def _world(dataset: xr.Dataset) -> dict[str, str]:
