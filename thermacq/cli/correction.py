@@ -133,13 +133,20 @@ def show(
 @app.command()
 def check(
     file: CorrectionFile,
-    run: Annotated[str, typer.Argument(metavar=_VIEW, help="Run of a uniform view of the same camera.")],
+    runs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar=f"{_VIEW}...",
+            help="Run of a uniform view of the same camera. Of several, at different times, the last is judged; "
+            "four or more measure how fast the non-uniformity grows.",
+        ),
+    ],
     planned_s: Annotated[
         float, typer.Option("--planned-s", min=0, help="Length of the recording that is planned, seconds.")
     ] = 600.0,
     as_json: AsJson = False,
 ) -> None:
-    """Judge a correction by a later run of a uniform view; exit status 3 when it no longer serves."""
+    """Judge a correction by later runs of a uniform view; exit status 3 when it no longer serves."""
     from dataclasses import asdict
 
     from thermacq.imaging.condition import judge_correction
@@ -147,7 +154,7 @@ def check(
     from thermacq_calibration import load_correction
 
     correction = load_correction(file)
-    judged = judge_correction(correction, parse_reference(run), planned_s)
+    judged = judge_correction(correction, [parse_reference(run) for run in runs], planned_s)
     if as_json:
         print_json({**asdict(judged), "ok": not judged.warnings})
     else:

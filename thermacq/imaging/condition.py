@@ -1,14 +1,15 @@
 """Whether a correction still serves: residual non-uniformity, age, temperature, and how fast it grows old.
 
 Fixed-pattern noise grows with the time since the correction, as a power law and a linear part (SPIE
-12533-0T). The coefficients belong to the single camera and are not known; what has grown since the
-correction was made is extended in proportion to time, which is too much rather than too little where the
-power is below one.
+12533-0T), whose coefficients belong to the single camera. Views at four ages or more give them. With fewer,
+what has grown since the correction was made is extended in proportion to time, which is too much rather than
+too little where the power is below one.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -16,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermacq.imaging.making import view_of_camera
-from thermacq.imaging.references import Reference
-from thermacq.store import open_run
+from thermacq.imaging.references import Reference, middle_time
 
 if TYPE_CHECKING:
     from thermacq_calibration import CameraCorrection, Uniformity
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 LARGEST_RESIDUAL_NETD = 0.5
 LARGEST_GROWTH_NETD = 0.5
 LARGEST_WARMING_K = 1.0
+_FEWEST_AGES = 4
 _YOUNGEST_S = 60.0
 """Growth within less time than this says nothing about a recording."""
 
@@ -77,15 +78,18 @@ class Condition:
         ]
 
 
-def judge_correction(correction: CameraCorrection, reference: Reference, planned_s: float) -> Condition:
-    """Judge a correction by a run of a uniform view.
+def judge_correction(
+    correction: CameraCorrection, references: Sequence[Reference], planned_s: float
+) -> Condition:
+    """Judge a correction by runs of a uniform view.
 
     Parameters
     ----------
     correction
         The correction.
-    reference
-        Frames of a uniform view of the same camera.
+    references
+        Frames of a uniform view of the same camera, at several times if the growth is to be measured. The
+        last one is judged.
     planned_s
         Length of the recording that is planned.
 
@@ -96,18 +100,19 @@ def judge_correction(correction: CameraCorrection, reference: Reference, planned
     """
     from thermacq_calibration import uniformity, with_outliers
 
-    view = view_of_camera(reference, correction.serial, correction.camera)
-    found = uniformity(correction, view)
+    views = [view_of_camera(reference, correction.serial, correction.camera) for reference in references]
+    view, all_found = views[-1], [uniformity(correction, one) for one in views]
+    found = all_found[-1]
     worse = with_outliers(correction, view)
     new_bad = int(np.count_nonzero((worse.bad_pixels > 0) & (correction.bad_pixels == 0)))
-    with open_run(reference.path) as run:
-        age_s = _age_s(correction, run.header.start_time)
+    ages_s = [_age_s(correction, reference) for reference in references]
     warming_k = None
     if view.fpa_temperature_k is not None and correction.fpa_temperature_k is not None:
         warming_k = view.fpa_temperature_k - correction.fpa_temperature_k
     growth_netd = _growth_netd(correction, found)
-    predicted_netd = None
-    if growth_netd is not None and age_s is not None and age_s >= _YOUNGEST_S:
+    age_s = ages_s[-1]
+    predicted_netd = _measured_growth_netd(ages_s, all_found, planned_s)
+    if predicted_netd is None and growth_netd is not None and age_s is not None and age_s >= _YOUNGEST_S:
         predicted_netd = growth_netd * planned_s / age_s
     warnings = _warnings(found, warming_k, predicted_netd, planned_s)
     return Condition(
@@ -131,7 +136,8 @@ def _warnings(
     if found.sigma_vh_per_netd > LARGEST_RESIDUAL_NETD:
         warnings.append(
             f"the residual non-uniformity is {found.sigma_vh_per_netd:.2f} of the temporal noise, more than "
-            f"{LARGEST_RESIDUAL_NETD:g}: update the offsets by a shutter or uniform view"
+            f"{LARGEST_RESIDUAL_NETD:g}: update the offsets by a view near the water's temperature, or make "
+            "the correction from two views closer together around it"
         )
     if warming_k is not None and abs(warming_k) > LARGEST_WARMING_K:
         warnings.append(
@@ -145,21 +151,39 @@ def _warnings(
     return warnings
 
 
-def _age_s(correction: CameraCorrection, start_time: str) -> float | None:
+def _age_s(correction: CameraCorrection, reference: Reference) -> float | None:
+    """From the views behind the offsets to the middle of the frames; None where either time is unknown."""
     views = correction.made_from.get("offset_run") or _source(correction, "cold")
-    seen = str(views.get("start_time") or correction.offset_updated or correction.created)
+    seen = str(views.get("middle_time") or correction.offset_updated or correction.created)
     try:
-        return (datetime.fromisoformat(start_time) - datetime.fromisoformat(seen)).total_seconds()
+        return (datetime.fromisoformat(middle_time(reference)) - datetime.fromisoformat(seen)).total_seconds()
     except (TypeError, ValueError):
         return None
+
+
+def _measured_growth_netd(
+    ages_s: Sequence[float | None], found: Sequence[Uniformity], planned_s: float
+) -> float | None:
+    """Growth by the law that views at several ages give, over the temporal noise; None with too few of them."""
+    from thermacq_calibration import fit_growth
+
+    known: dict[float, float] = {}
+    for age_s, one in zip(ages_s, found, strict=True):
+        sigma_k = one.kelvin(one.sigma_vh_counts)
+        if age_s is not None and age_s >= 0 and sigma_k is not None:
+            known[age_s] = sigma_k
+    noise_k = found[-1].kelvin(found[-1].noise_counts)
+    if len(known) < _FEWEST_AGES or not noise_k:
+        return None
+    return fit_growth(list(known), list(known.values())).growth_k(max(known), planned_s) / noise_k
 
 
 def _growth_netd(correction: CameraCorrection, found: Uniformity) -> float | None:
     """Growth since the check that was made with the correction; none is known after an update."""
     then = correction.made_from.get("check")
-    if correction.offset_updated or not isinstance(then, dict):
+    before = then.get("sigma_vh_counts") if isinstance(then, dict) else None
+    if correction.offset_updated or not isinstance(before, int | float):
         return None
-    before = float(then["sigma_vh_counts"])
     return math.sqrt(max(0.0, found.sigma_vh_counts**2 - before**2)) / found.noise_counts
 
 

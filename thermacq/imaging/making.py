@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thermacq.errors import CorrectionError
-from thermacq.imaging.references import Reference, serials_of, views_of
+from thermacq.imaging.references import Reference, middle_time, serials_of, views_of
 
 if TYPE_CHECKING:
     from thermacq_calibration import CameraCorrection, ReferenceView, Uniformity
@@ -159,7 +159,7 @@ def _sources(references: Mapping[str, Reference]) -> dict[str, Any]:
             runs[what] = {
                 "run": run.path.name,
                 "run_id": run.header.run_id,
-                "start_time": run.header.start_time,
+                "middle_time": middle_time(reference),
                 "simulated": run.header.simulated,
                 "temperature_k": reference.temperature_k,
             }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -95,6 +96,16 @@ def serials_of(path: Path) -> dict[str, str]:
     """Serial number of each camera of a run, empty where it has none."""
     with open_run(path) as run:
         return {name: str(run.camera(name).identity.get("serial", "")) for name in run.cameras}
+
+
+def middle_time(reference: Reference) -> str:
+    """Wall-clock time of the middle of the frames, ISO 8601, UTC; raises as `views_of`."""
+    with open_run(reference.path) as run:
+        camera = run.cameras[0]
+        chosen, _ = frames_of(run, camera, reference)
+        header, host_ns = run.header, run.frames(camera).host_ns[chosen]
+    unix_ns = header.wall_anchor_ns + int(host_ns.mean()) - header.host_anchor_ns
+    return datetime.fromtimestamp(unix_ns / 1e9, UTC).isoformat(timespec="seconds")
 
 
 def _view(run: RunFile, camera: str, reference: Reference) -> ReferenceView:
