@@ -84,6 +84,16 @@ def test_status_and_stop(desk) -> None:
     assert made.stop_wanted
 
 
+def test_notes_are_kept_for_the_recorder_and_not_without_end(desk) -> None:
+    folder, made = desk
+    assert control.request(folder, "note", text="the lamp is on") == {"state": "recording"}
+    assert made.notes == ["the lamp is on"]
+    assert not made.stop_wanted
+    for _ in range(120):
+        control.request(folder, "note", text="again")
+    assert len(made.notes) == 100
+
+
 def test_a_closed_desk_leaves_no_sockets() -> None:
     folder = control.new_folder("desk")
     made = control.Desk(folder)

@@ -42,6 +42,10 @@ class Session:
         if control.request(self.folder, "stop") is None and self._pid is not None and self._lives():
             os.kill(self._pid, signal.SIGTERM)
 
+    def note(self, text: str) -> bool:
+        """Have a note written among the events of the run file, at most 200 bytes of it; True when it will be."""
+        return control.request(self.folder, "note", text=text) is not None
+
     def follow(self, on_status: OnStatus | None = None, until: str = "ended") -> None:
         """Hand on each status until the recording is in the state `until`, or has ended."""
         watcher = control.Watcher(self.folder)

@@ -25,6 +25,7 @@ from thermacq.errors import AcquisitionError
 JOB, LOG, RESULT, LOCK = "job.json", "recorder.log", "result.json", "lock"
 _CONTROL, _STATUS = "control", "status"
 _KEEP_ENDED_S = 600.0
+_MOST_NOTES = 100
 
 Status = dict[str, Any]
 
@@ -108,7 +109,7 @@ def read_json(path: Path) -> Any:
 
 
 class Desk:
-    """The recorder's side: answers ``status`` and ``stop``, publishes the status."""
+    """The recorder's side: answers ``status``, ``stop`` and ``note``, publishes the status."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -118,21 +119,26 @@ class Desk:
         self._replies.bind(_address(folder / _CONTROL))
         self._news.bind(_address(folder / _STATUS))
         self.stop_wanted = False
+        self.notes: list[str] = []
+        """What clients want to stand in the run file; the recorder takes them out."""
 
     def serve(self, status: Callable[[], Status]) -> None:
         """Answer the requests that wait; a malformed one gets an answer that says so."""
         while self._replies.poll(0):
             request = self._replies.recv()
             try:
-                command = json.loads(request)["command"]
+                values = json.loads(request)
+                command = values["command"]
             except (ValueError, KeyError, TypeError):
-                command = ""
+                command, values = "", {}
             if command == "stop":
                 self.stop_wanted = True
-            if command in ("status", "stop"):
+            if command == "note" and len(self.notes) < _MOST_NOTES:
+                self.notes.append(str(values.get("text", "")))
+            if command in ("status", "stop", "note"):
                 answer = status()
             else:
-                answer = {"error": "unknown request; known: status, stop"}
+                answer = {"error": "unknown request; known: status, stop, note"}
             self._replies.send_json(answer)
 
     def publish(self, status: Status) -> None:
@@ -168,13 +174,13 @@ class Watcher:
         self._context.destroy(linger=0)
 
 
-def request(folder: Path, command: str, timeout_s: float = 2.0) -> Status | None:
-    """Ask a recorder something; None when it does not answer in time."""
+def request(folder: Path, command: str, timeout_s: float = 2.0, text: str = "") -> Status | None:
+    """Ask a recorder something; None when it does not answer in time. `text` is what a ``note`` says."""
     context = zmq.Context()
     try:
         socket = context.socket(zmq.REQ)
         socket.connect(_address(folder / _CONTROL))
-        socket.send_json({"command": command})
+        socket.send_json({"command": command, "text": text})
         if not socket.poll(round(timeout_s * 1000)):
             return None
         answer: Status = json.loads(socket.recv())

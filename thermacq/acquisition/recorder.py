@@ -324,8 +324,15 @@ class Recorder:
         if self._phase is Phase.RECORDING:
             self._look_after_devices()
         self._desk.serve(self.status)
+        self._write_notes()
         if time.monotonic() - self._published_s >= _PUBLISH_S:
             self._publish()
+
+    def _write_notes(self) -> None:
+        """Have notes of clients written, once there is a file; their time is that of the latest news."""
+        while self._phase is Phase.RECORDING and self._desk.notes:
+            latest_ns = max(self._board.get(one.spec.index, Cell.LAST_HOST_NS) for one in self._devices)
+            self._tell_writer(Event(latest_ns, "operator", EventKind.NOTE, -1, self._desk.notes.pop(0)))
 
     def _publish(self) -> None:
         self._published_s = time.monotonic()
