@@ -7,6 +7,7 @@ from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.judgement import findings
 from thermacq_calibration.models import Board, BoardKind, CameraModel, ViewReport
 from thermacq_calibration.nonuniformity import make_correction, update_offset, with_outliers
+from thermacq_calibration.pattern_growth import PatternGrowth, fit_growth, growth_warning
 from thermacq_calibration.radiometry import RadiometricScale, radiometric_scale
 from thermacq_calibration.record import StereoCalibration, load_calibration
 from thermacq_calibration.rectification import (
@@ -40,6 +41,7 @@ __all__ = [
     "Corrector",
     "Detection",
     "NoBoard",
+    "PatternGrowth",
     "RadiometricScale",
     "Rectification",
     "ReferenceView",
@@ -55,6 +57,8 @@ __all__ = [
     "check_board",
     "detect_board",
     "findings",
+    "fit_growth",
+    "growth_warning",
     "load_calibration",
     "load_correction",
     "make_correction",

@@ -49,7 +49,7 @@ def make_correction(
     Parameters
     ----------
     views
-        One uniform view (one-point: offsets only) or two, a colder and a warmer one (two-point).
+        One uniform view (one-point: offsets only) or two at different temperatures (two-point).
     check
         A third view at another temperature, best between the two: outlying pixels show there only. It does
         not go into gains and offsets.
@@ -76,8 +76,9 @@ def make_correction(
     if len(views) == 1:
         gain = np.ones(views[0].mean.shape, np.float32)
     else:
-        _check_temperatures(*views)
-        response = views[1].mean - views[0].mean
+        cold, hot = sorted(views, key=lambda view: float(np.median(view.mean)))
+        _check_temperatures(cold, hot)
+        response = hot.mean - cold.mean
         bad |= dead_pixels(response)
         gain = _gain(response, bad)
     _check_share(bad)
@@ -104,12 +105,16 @@ def update_offset(
 ) -> CameraCorrection:
     """New offsets from a later uniform view; gains and bad pixels stay, new bad pixels are added.
 
-    A cap, plate or blackbody before the lens shows all that changed: the corrected picture of it becomes flat,
-    and shading that was known before is dropped as it is contained. Where the temperature of the view and
-    the radiometric scale are known, its level becomes right too, otherwise it stays.
+    A cap, plate or blackbody before the lens shows all that changed: the corrected picture of it becomes flat.
+    Where the temperature of the view and the radiometric scale are known, its level becomes right too,
+    otherwise it stays.
 
-    A shutter between lens and sensor does not show the shading of the lens. What changed since the shutter
-    frames of the record is taken away, without its mean, and the shading stays in force.
+    A shutter between lens and sensor is not seen through the lens. What changed since the shutter frames of
+    the record is taken away, without its mean. The shutter is as warm as the housing, so a change of the
+    housing's radiation is in it as well.
+
+    Either way shading starts anew from none at the present temperature, with the growth per kelvin that it had;
+    shading that did not depend on temperature is contained in the offsets now and dropped.
 
     Parameters
     ----------
@@ -129,34 +134,55 @@ def update_offset(
         raise CalibrationError(f"{shutter.label} has another size than the correction")
     bad = correction.bad_pixels | _bad_in_time([shutter])
     _check_share(bad)
-    good = bad == 0
-    now = replace(correction, bad_pixels=bad, offset_updated=datetime.now(UTC).isoformat(timespec="seconds"))
-    history = {**correction.made_from, "offset_view": {**shutter.facts, "behind_lens": behind_lens}}
     if behind_lens:
-        if correction.shutter is None:
-            raise CalibrationError(
-                f"the correction of camera '{correction.camera}' does not know its shutter when it was made",
-                remedy="Make it again with shutter frames, or update from a uniform view before the lens.",
-            )
-        change = correction.gain * (shutter.mean - correction.shutter)
-        change -= change[good].mean(dtype=np.float64)
-        offset = np.where(_responds(bad), correction.offset - change, 0)
-        return replace(now, offset=offset, shutter=shutter.mean, made_from=history)
-    seen = correction.gain * shutter.mean + correction.offset
-    level = float(seen[good].mean(dtype=np.float64))
-    if shutter.temperature_k is not None and correction.counts_per_kelvin and correction.kelvin_at_zero:
-        level = (shutter.temperature_k - correction.kelvin_at_zero) * correction.counts_per_kelvin
+        change = _change_of_shutter(correction, shutter, bad == 0)
+    else:
+        change = _deviation_from_level(correction, shutter, bad == 0)
     return replace(
-        now,
-        offset=np.where(_responds(bad), correction.offset + (level - seen), 0),
-        shading=None,
-        shading_temperature_k=None,
-        shading_zero_k=None,
-        # A shutter frame of another moment no longer belongs to these offsets.
-        shutter=None,
+        correction,
+        offset=np.where(_responds(bad), correction.offset - change, 0),
+        bad_pixels=bad,
+        # A shutter frame of another moment no longer belongs to offsets from a view before the lens.
+        shutter=shutter.mean if behind_lens else None,
         fpa_temperature_k=shutter.fpa_temperature_k,
-        made_from=history,
+        made_from={**correction.made_from, "offset_view": {**shutter.facts, "behind_lens": behind_lens}},
+        offset_updated=datetime.now(UTC).isoformat(timespec="seconds"),
+        **_shading_from(correction, shutter.fpa_temperature_k),
     )
+
+
+def _change_of_shutter(
+    correction: CameraCorrection, shutter: ReferenceView, good: NDArray[np.bool_]
+) -> Picture:
+    """What the internal shutter shows differently than when the record was made, without the mean."""
+    if correction.shutter is None:
+        raise CalibrationError(
+            f"the correction of camera '{correction.camera}' does not know its shutter when it was made",
+            remedy="Make it again with shutter frames, or update from a uniform view before the lens.",
+        )
+    change = correction.gain * (shutter.mean - correction.shutter)
+    change -= change[good].mean(dtype=np.float64)
+    return change
+
+
+def _deviation_from_level(
+    correction: CameraCorrection, view: ReferenceView, good: NDArray[np.bool_]
+) -> Picture:
+    """What a corrected uniform view has beyond its true level, or beyond its mean where that is not known."""
+    seen = correction.gain * view.mean + correction.offset
+    level = float(seen[good].mean(dtype=np.float64))
+    per_k, zero_k = correction.counts_per_kelvin, correction.kelvin_at_zero
+    if view.temperature_k is not None and per_k is not None and zero_k is not None:
+        level = (view.temperature_k - zero_k) * per_k
+    return seen - np.float32(level)
+
+
+def _shading_from(correction: CameraCorrection, now_k: float | None) -> dict[str, Any]:
+    """The shading with its growth per kelvin, but none at the present temperature."""
+    then_k, zero_k = correction.shading_temperature_k, correction.shading_zero_k
+    if then_k is None or zero_k is None or now_k is None:
+        return {"shading": None, "shading_temperature_k": None, "shading_zero_k": None}
+    return {"shading_temperature_k": now_k + then_k - zero_k, "shading_zero_k": now_k}
 
 
 def with_outliers(correction: CameraCorrection, view: ReferenceView) -> CameraCorrection:
@@ -192,7 +218,7 @@ def _check_sizes(views: Sequence[ReferenceView]) -> None:
 
 
 def _check_temperatures(cold: ReferenceView, hot: ReferenceView) -> None:
-    """Two views must be told apart by temperature or counts, and rise together."""
+    """Two views, ordered by their counts, must be far enough apart and ordered alike by temperature."""
     rise = float(np.median(hot.mean - cold.mean))
     if cold.temperature_k is not None and hot.temperature_k is not None:
         span_k = hot.temperature_k - cold.temperature_k
@@ -201,15 +227,15 @@ def _check_temperatures(cold: ReferenceView, hot: ReferenceView) -> None:
                 f"{cold.label} and {hot.label} are less than {SMALLEST_SPAN_K:g} K apart: gains would be noise",
                 remedy="Record the two at temperatures a few kelvin apart, around that of the water.",
             )
-        if span_k * rise < 0:
+        if span_k < 0:
             raise CalibrationError(
-                f"counts fall by {abs(rise):.0f} from the colder to the warmer view, though they should rise",
+                f"{hot.label} has {rise:.0f} counts more than {cold.label}, which is warmer",
                 remedy="The temperatures of the two views may be swapped; correct them.",
             )
     noise = max(float(np.median(view.noise)) for view in (cold, hot))
-    if abs(rise) < _SMALLEST_SPAN_NOISE * noise:
+    if rise < _SMALLEST_SPAN_NOISE * noise:
         raise CalibrationError(
-            f"{cold.label} and {hot.label} differ by {abs(rise):.0f} counts only, at a noise of {noise:.1f}: "
+            f"{cold.label} and {hot.label} differ by {rise:.0f} counts only, at a noise of {noise:.1f}: "
             "gains would be noise",
             remedy="Check that both views were really taken, and are at temperatures a few kelvin apart.",
         )

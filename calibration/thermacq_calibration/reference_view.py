@@ -152,6 +152,7 @@ class _Statistics:
         self.never_changed = np.ones(self.shape, bool)
         self._first = first.astype(np.float32)
         self._level = 0.0
+        self._stride = max(1, min(self.shape) // 64)
         self._sum = np.zeros(self.shape, np.float64)
         self._squares = np.zeros(self.shape, np.float64)
         self._block = np.zeros(self.shape, np.float32)
@@ -164,7 +165,7 @@ class _Statistics:
         above -= self._first
         # What the whole picture does, drift or noise of frames, is no pixel's own. The median: bad pixels
         # do not move it.
-        level = float(np.median(above[::8, ::8]))
+        level = float(np.median(above[:: self._stride, :: self._stride]))
         above -= np.float32(level)
         self._level += level
         self._sum += above
