@@ -128,6 +128,7 @@ def draw_warm_up(axis: Axes, time_s: Any, fpa_temperature_k: Any, level: Any, un
         other = axis.twinx()
         other.plot(time, fpa_temperature_k, color=ORANGE, linewidth=1.0)
         other.set_ylabel("focal plane (K)", color=ORANGE)
+        other.ticklabel_format(useOffset=False)
         other.grid(visible=False)
 
 
@@ -208,7 +209,7 @@ def _draw_spectrum(axis: Axes, camera: CameraNoise, spectrum: Spectrum, where: s
     top = factor**2 * max(float(spectrum.fixed.max()), float(spectrum.temporal.max()))
     if math.isfinite(top) and top > 0:
         axis.set_ylim(top=3 * top)
-    axis.legend(ncols=3, loc="upper right")
+    axis.legend(ncols=3, loc="upper right", handlelength=1.0, columnspacing=0.8, fontsize="small")
 
 
 def _png(figure: Figure) -> bytes:

@@ -14,10 +14,10 @@ _MEANING = {
     "t": "whole frames",
     "v": "fixed rows",
     "h": "fixed columns",
-    "tv": "rows from frame to frame",
-    "th": "columns from frame to frame",
-    "vh": "fixed pixels (non-uniformity)",
-    "tvh": "pixels from frame to frame (NETD)",
+    "tv": "rows, frame by frame",
+    "th": "columns, frame by frame",
+    "vh": "fixed pixels (RNU)",
+    "tvh": "the rest (NETD)",
 }
 
 
@@ -53,7 +53,7 @@ def component_rows(camera: CameraNoise) -> list[tuple[str, str, str, str]]:
     found = []
     for name in COMPONENTS:
         one = camera.noise.component(name)
-        sigma = "0 (variance came out negative)" if one.is_negative else in_unit(camera, one.sigma)
+        sigma = "0 (negative)" if one.is_negative else in_unit(camera, one.sigma)
         low, high = in_unit(camera, one.low), in_unit(camera, one.high)
         found.append((name, sigma, f"{low.rpartition(' ')[0]} to {high}", _MEANING[name]))
     return found
