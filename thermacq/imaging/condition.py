@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from thermacq.errors import CorrectionError
 from thermacq.imaging.making import view_of_camera
 from thermacq.imaging.references import Reference, middle_time
 
@@ -98,12 +99,18 @@ def judge_correction(
     CorrectionError, StoreError, thermacq_calibration.CalibrationError
         The run cannot be read, is one of another camera, or its frames cannot be judged.
     """
-    from thermacq_calibration import uniformity, with_outliers
+    from thermacq_calibration import CalibrationError, uniformity, with_outliers
 
     views = [view_of_camera(reference, correction.serial, correction.camera) for reference in references]
     view, all_found = views[-1], [uniformity(correction, one) for one in views]
     found = all_found[-1]
-    worse = with_outliers(correction, view)
+    try:
+        worse = with_outliers(correction, view)
+    except CalibrationError as error:
+        raise CorrectionError(
+            f"with this correction {view.label} is far from uniform: {error.what}",
+            remedy="Record a uniform view: a blackbody, a cap, or even water without texture.",
+        ) from None
     new_bad = int(np.count_nonzero((worse.bad_pixels > 0) & (correction.bad_pixels == 0)))
     ages_s = [_age_s(correction, reference) for reference in references]
     warming_k = None

@@ -64,6 +64,8 @@ def make_corrections(
     made = {}
     for camera, serial in serials.items():
         views = {what: by_camera[camera] for what, by_camera in seen.items()}
+        if "hot" in views:
+            _check_order(views["cold"], views["hot"])
         correction = make_correction(
             [views[what] for what in ("cold", "hot") if what in views],
             views.get("check"),
@@ -148,6 +150,22 @@ def _views_of_cameras(
         names[camera] = found
     views = views_of(reference, list(names.values()))
     return {camera: views[name] for camera, name in names.items()}
+
+
+def _check_order(cold: ReferenceView, hot: ReferenceView) -> None:
+    import numpy as np
+
+    warmer_k = None
+    if cold.temperature_k is not None and hot.temperature_k is not None:
+        warmer_k = hot.temperature_k - cold.temperature_k
+    if (warmer_k is None and np.median(hot.mean) < np.median(cold.mean)) or (
+        warmer_k is not None and warmer_k < 0
+    ):
+        raise CorrectionError(
+            f"{cold.label}, given as the cold one, is warmer than {hot.label}",
+            kept="Nothing was written.",
+            remedy="Exchange --cold and --hot.",
+        )
 
 
 def _sources(references: Mapping[str, Reference]) -> dict[str, Any]:

@@ -1,0 +1,273 @@
+"""What each correction of the pictures does to the reconstructed surface, on the simulator's truth.
+
+Geometry and world frame are the true ones, so that rows of a scene differ by the pictures alone. Reference
+views and water are recorded at least half a minute apart: 1/f noise that both saw would be taken away too
+well. Writes its table into ``docs/explanation/correction-ablation.md``.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermacq.acquisition import record
+from thermacq.evaluation.flatness import flatness
+from thermacq.hooks import TruthRequest
+from thermacq.imaging import NO_CORRECTIONS, Corrections, Stage
+from thermacq.imaging.making import make_corrections
+from thermacq.imaging.references import parse_reference
+from thermacq.plugins import plugins
+from thermacq.reconstruction import Source, WorldFrame, open_product, open_source, reconstruct
+from thermacq.rig import Rig
+from thermacq.store import open_run
+from thermacq_calibration import CameraCorrection, CameraModel, StereoCalibration
+from thermacq_drivers.simflume.ready_made import rig_toml, scene_toml
+
+PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "correction-ablation.md"
+BEGIN, END = "<!-- table made by `python -m benchmarks ablation` -->", "<!-- end of the table -->"
+PAIRS = 50
+RANGE = {"min_disparity": 40, "max_disparity": 96}
+REFERENCE_RATE_HZ = 2.0
+FRAMES_EACH = 64
+# Half a minute goes by before the first view that is used.
+TEMPERATURES_K = (295.0, 290.0, 300.0, 295.0)
+WIDE_K = (295.0, 285.0, 305.0, 295.0)
+WAVE = {"kind": "regular", "case": "T0.791-H2/25"}
+EVEN = {"offset_k": 0.0, "gain": 0.0, "shading_k": 0.0, "bad_pixel_fraction": 0.0}
+
+
+@dataclass(frozen=True)
+class Water:
+    """A scene to reconstruct: its name on the page, the ready scene whose cameras see it, and what is different."""
+
+    title: str
+    cameras: str
+    surface: dict[str, Any]
+    rate_hz: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One row of the table; metres."""
+
+    scene: str
+    stage: str
+    single_m: float
+    mean_m: float
+    error_m: float
+    median_error_m: float
+    supported: float
+
+
+WATERS = (
+    Water("demo cameras, still water, 50 Hz", "still", {"kind": "still"}, 50.0),
+    Water("demo cameras, still water, 1 Hz", "still", {"kind": "still"}, 1.0),
+    Water("demo cameras, wave, 50 Hz", "still", WAVE, 50.0),
+    Water("dirty sensor, still water, 50 Hz", "dirty-sensor", {"kind": "still"}, 50.0),
+    Water("dirty sensor, wave, 50 Hz", "dirty-sensor", WAVE, 50.0),
+)
+
+
+def run() -> list[dict[str, Any]]:
+    """Record, correct, reconstruct and compare; returns the benchmark's rows."""
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory() as folder:
+        made = {name: _corrections(name, Path(folder)) for name in {water.cameras for water in WATERS}}
+        for water in WATERS:
+            outcomes += _ablate(water, made[water.cameras], Path(folder))
+    _write_page(outcomes)
+    return [
+        {"name": f"{one.scene}: {one.stage}: {what}", "value": 1000 * value, "unit": "mm"}
+        for one in outcomes
+        for what, value in (("single-frame sigma", one.single_m), ("error", one.error_m))
+    ]
+
+
+def _ablate(water: Water, made: dict[str, dict[str, CameraCorrection]], folder: Path) -> list[Outcome]:
+    path = _record(_scene(water.cameras, surface=water.surface), water.rate_hz, PAIRS, folder / "water.h5")
+    truth = _Truth.of(path)
+    source = open_source(path, calibration=truth.save_calibration(folder), settings=RANGE, correct=False)
+    outcomes = []
+    for stage, corrections in _variants(made):
+        outcomes.append(_measure(water.title, stage, replace(source, corrections=corrections), truth, folder))
+    path.unlink()
+    even = _scene(water.cameras, surface=water.surface)
+    even["camera"] = {"sensor": {"netd_k": 0.035, **EVEN}}
+    ideal = _record(even, water.rate_hz, PAIRS, path)
+    source = open_source(ideal, calibration=folder / "true.json", settings=RANGE, correct=False)
+    outcomes.append(_measure(water.title, "even sensor, noise only", source, truth, folder))
+    ideal.unlink()
+    return outcomes
+
+
+def _variants(made: dict[str, dict[str, CameraCorrection]]) -> list[tuple[str, Corrections]]:
+    """The rows of the table: each stage on top of those before it."""
+    one, two, wide, shaded = (made[name] for name in ("one-point", "two-point", "wide", "shaded"))
+    off = {"bad_pixels": False, "shading": False}
+    destriping = plugins().correction_stage("destriping").settings()
+
+    def striped(**settings: Any) -> Corrections:
+        stage = Stage("destriping", destriping(**settings).model_dump())
+        return Corrections(shaded, "files", stages=(stage,))
+
+    return [
+        ("as delivered", NO_CORRECTIONS),
+        ("one-point at 295 K", Corrections(one, "files", **off)),
+        ("two-point 285 and 305 K", Corrections(wide, "files", **off)),
+        ("two-point 290 and 300 K", Corrections(two, "files", **off)),
+        ("+ bad pixels", Corrections(two, "files", shading=False)),
+        ("+ shading", Corrections(shaded, "files")),
+        ("+ destriping", striped()),
+        ("+ destriping without gate or memory", striped(memory_pictures=0, min_motion=0.0)),
+    ]
+
+
+def _corrections(cameras: str, folder: Path) -> dict[str, dict[str, CameraCorrection]]:
+    """Corrections of both cameras from simulated blackbody views, by how they were made."""
+    narrow = _record(_blackbody(cameras, TEMPERATURES_K), REFERENCE_RATE_HZ, 256, folder / "narrow.h5")
+    wide = _record(_blackbody(cameras, WIDE_K), REFERENCE_RATE_HZ, 256, folder / "wide.h5")
+    last = f"@295@{3 * FRAMES_EACH}:{4 * FRAMES_EACH}"
+    check = parse_reference(f"{narrow}{last}")
+    cold, hot = parse_reference(f"{narrow}@290"), parse_reference(f"{narrow}@300")
+    made = {
+        "one-point": make_corrections(check),
+        "two-point": make_corrections(cold, hot, check=check),
+        "shaded": make_corrections(cold, hot, check=check, uniform=check),
+        "wide": make_corrections(
+            parse_reference(f"{wide}@285"), parse_reference(f"{wide}@305"), check=parse_reference(f"{wide}{last}")
+        ),
+    }
+    narrow.unlink()
+    wide.unlink()
+    return {
+        how: {camera: one.correction for camera, one in by_camera.items()} for how, by_camera in made.items()
+    }
+
+
+def _scene(cameras: str, **changes: Any) -> dict[str, Any]:
+    return {**tomllib.loads(scene_toml(cameras)), **changes}
+
+
+def _blackbody(cameras: str, temperatures_k: Sequence[float]) -> dict[str, Any]:
+    scene = _scene(cameras, view="uniform")
+    scene.pop("surface", None)
+    return {
+        **scene,
+        "uniform": {"temperatures_k": list(temperatures_k), "frames_per_temperature": FRAMES_EACH},
+    }
+
+
+def _record(scene: dict[str, Any], rate_hz: float, frames: int, path: Path) -> Path:
+    values = tomllib.loads(rig_toml())
+    values["scene"] = scene
+    values["trigger"]["frame_rate_hz"] = rate_hz
+    record(Rig.model_validate(values), path, frames=frames)
+    return path
+
+
+@dataclass(frozen=True)
+class _Truth:
+    """What the simulator knows of a run."""
+
+    run: Path
+    facts: dict[str, Any]
+
+    @classmethod
+    def of(cls, path: Path) -> _Truth:
+        with open_run(path) as run:
+            request = TruthRequest(
+                scene=run.header.rig["scene"], time_s=np.zeros(1), x_m=np.zeros(1), y_m=np.zeros(1), rig=run.header.rig
+            )
+        truth = plugins().truth(request)
+        assert truth is not None
+        return cls(path, {**truth.facts["calibration"], "request": request})
+
+    def save_calibration(self, folder: Path) -> Path:
+        path = folder / "true.json"
+        path.unlink(missing_ok=True)
+        self.calibration().save(path)
+        return path
+
+    def calibration(self) -> StereoCalibration:
+        left, right = (
+            CameraModel(np.array(self.facts[side]["matrix"]), np.array(self.facts[side]["distortion"]))
+            for side in ("left", "right")
+        )
+        return StereoCalibration(
+            tuple(self.facts["image_size"]),
+            left,
+            right,
+            np.array(self.facts["rotation"]),
+            np.array(self.facts["translation_m"]),
+            source="simulated truth",
+        )
+
+    def world(self, source: Source) -> WorldFrame:
+        pose = self.facts["left_camera_to_world"]
+        return WorldFrame(
+            np.array(pose["rotation"]) @ source.rectification.rotation_left.T,
+            np.array(pose["translation_m"]),
+            0.0,
+            0.0,
+            np.zeros((3, 3)),
+            0,
+            0,
+            {"from": "simulated truth", "calibration_sha256": source.calibration.sha256},
+        )
+
+    def elevation(self, time_s: NDArray[Any], x_m: NDArray[Any], y_m: NDArray[Any]) -> NDArray[np.float64]:
+        truth = plugins().truth(replace(self.facts["request"], time_s=time_s, x_m=x_m, y_m=y_m))
+        assert truth is not None
+        return truth.eta_m
+
+
+def _measure(scene: str, stage: str, source: Source, truth: _Truth, folder: Path) -> Outcome:
+    output = folder / "eta.nc"
+    output.unlink(missing_ok=True)
+    cores = len(os.sched_getaffinity(0))
+    result = reconstruct(source, output, world=truth.world(source), workers=cores, progress=lambda *_: None)
+    with open_product(output) as product:
+        eta = product["eta"].to_numpy().astype(np.float64)
+        time_s, x_m, y_m = (product[name].to_numpy().astype(np.float64) for name in ("time", "x", "y"))
+    error = eta - truth.elevation(time_s, x_m, y_m)
+    flat = flatness(error, x_m, y_m)
+    known = error[np.isfinite(error)]
+    return Outcome(
+        scene,
+        stage,
+        flat.overall_sd_m,
+        flat.fixed_sd_m,
+        float(np.sqrt(np.mean(known**2))),
+        float(np.median(np.abs(known))),
+        result.supported_share * float(np.isfinite(error).any(axis=0).mean()),
+    )
+
+
+def _write_page(outcomes: Sequence[Outcome]) -> None:
+    lines = []
+    for scene in dict.fromkeys(one.scene for one in outcomes):
+        lines += [
+            f"**{scene[0].upper()}{scene[1:]}**",
+            "",
+            "| pictures | σ, single frames | σ, mean of all frames | RMS error | median of errors' size | cells |",
+            "|---|---|---|---|---|---|",
+        ]
+        for one in outcomes:
+            if one.scene == scene:
+                figures = (one.single_m, one.mean_m, one.error_m, one.median_error_m)
+                cells = " | ".join(f"{1000 * value:.3f}" for value in figures)
+                lines.append(f"| {one.stage} | {cells} | {100 * one.supported:.1f} % |")
+        lines.append("")
+    text = PAGE.read_text(encoding="utf-8")
+    before, _, rest = text.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    table = "\n".join(lines)
+    PAGE.write_text(f"{before}{BEGIN}\n\n{table}{END}{after}", encoding="utf-8")
