@@ -34,7 +34,8 @@ from thermacq_calibration.models import (
 )
 
 FORMAT = "thermacq-stereo-calibration"
-VERSION = 1
+VERSION = 2
+_READABLE = (1, 2)
 # A record of 200 views has about 100 kB; anything far larger is no record.
 _MAX_FILE_BYTES = 16 * 1024 * 1024
 
@@ -65,14 +66,31 @@ class StereoCalibration:
         The chessboard; None when the geometry was given.
     views
         All views, used or not.
+    poses
+        How many different poses of the board the used views show; None when the geometry was given.
+    working_distance_m
+        Distance at which depth and the difference of half-sets are judged.
+    distortion
+        Which distortion model was chosen, and the scores of all candidates (see `distortion.Score`).
+    half_set
+        Difference of two calibrations made from every other view (see `differences.Difference`).
     uncertainty
-        Standard uncertainties, plain values; None while they are not known.
+        Standard uncertainties (see `uncertainty.bootstrap`), plain values; None while they are not known.
+    corners
+        Corners of all views in which both cameras saw the board, by name: ``left`` and ``right`` in pixels, and
+        ``points``, which points of the board they are.
+    counts_per_kelvin
+        Response of the cameras, with which contrast becomes kelvin; None while it is not known.
+    temperatures_k
+        Mean temperature of the focal plane of the left and the right camera; None while they are not known.
     serials
         Serial numbers of the left and the right camera; None while they are not known.
     source
         Where the views came from.
     created
         ISO 8601, UTC.
+    version
+        Version of the format; a record that was read keeps its own, and with it its hash.
     """
 
     image_size: tuple[int, int]
@@ -86,10 +104,18 @@ class StereoCalibration:
     coverage: tuple[float, float] | None = None
     board: Board | None = None
     views: tuple[ViewReport, ...] = ()
+    poses: int | None = None
+    working_distance_m: float | None = None
+    distortion: Mapping[str, Any] | None = None
+    half_set: Mapping[str, Any] | None = None
     uncertainty: Mapping[str, Any] | None = None
+    corners: Mapping[str, Any] | None = None
+    counts_per_kelvin: float | None = None
+    temperatures_k: tuple[float, float] | None = None
     serials: tuple[str, str] | None = None
     source: str = ""
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    version: int = VERSION
 
     def __post_init__(self) -> None:
         rotation, translation = frozen_array(self.rotation), frozen_array(self.translation_m)
@@ -106,8 +132,9 @@ class StereoCalibration:
         object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation_m", translation)
-        if self.uncertainty is not None:
-            object.__setattr__(self, "uncertainty", json.loads(json.dumps(dict(self.uncertainty))))
+        for name in ("distortion", "half_set", "uncertainty", "corners"):
+            if (values := getattr(self, name)) is not None:
+                object.__setattr__(self, name, json.loads(json.dumps(dict(values))))
 
     @property
     def baseline_m(self) -> float:
@@ -187,7 +214,7 @@ class StereoCalibration:
                 f"this is no stereo calibration (its format is {record.value('format')!r}, not '{FORMAT}')",
                 remedy="Give a file made by `thermacq calibrate` or `thermacq calibration rectified`.",
             )
-        if record.integer("version") != VERSION:
+        if record.integer("version") not in _READABLE:
             raise CalibrationError(
                 f"calibration version {record.value('version')!r} is not known; this program reads {VERSION}",
                 remedy="Use the program version that wrote it, or calibrate again.",
@@ -224,10 +251,15 @@ class StereoCalibration:
                 remedy="Choose a folder that exists and has room.",
             ) from None
 
+    def standard_uncertainty(self, quantity: str) -> float | None:
+        """Standard uncertainty of a quantity of `uncertainty.bootstrap`, None while it is not known."""
+        value = ((self.uncertainty or {}).get("standard") or {}).get(quantity)
+        return None if value is None else float(value)
+
     def _content(self) -> dict[str, Any]:
-        return {
+        content = {
             "format": FORMAT,
-            "version": VERSION,
+            "version": self.version,
             "image_size": list(self.image_size),
             "left": camera_dict(self.left),
             "right": camera_dict(self.right),
@@ -244,6 +276,18 @@ class StereoCalibration:
             "serials": None if self.serials is None else list(self.serials),
             "source": self.source,
             "created": self.created,
+        }
+        return content if self.version == 1 else content | self._since_version_2()
+
+    def _since_version_2(self) -> dict[str, Any]:
+        return {
+            "poses": self.poses,
+            "working_distance_m": self.working_distance_m,
+            "distortion": None if self.distortion is None else dict(self.distortion),
+            "half_set": None if self.half_set is None else dict(self.half_set),
+            "corners": None if self.corners is None else dict(self.corners),
+            "counts_per_kelvin": self.counts_per_kelvin,
+            "temperatures_k": None if self.temperatures_k is None else list(self.temperatures_k),
         }
 
 
@@ -276,6 +320,7 @@ def load_calibration(path: Path) -> StereoCalibration:
 def _from_fields(record: Fields) -> StereoCalibration:
     board = record.optional_table("board")
     coverage = record.optional_numbers("coverage", (2,))
+    temperatures = record.optional_numbers("temperatures_k", (2,))
     columns, rows = record.integers("image_size", 2)
     return StereoCalibration(
         image_size=(columns, rows),
@@ -289,10 +334,18 @@ def _from_fields(record: Fields) -> StereoCalibration:
         coverage=None if coverage is None else (float(coverage[0]), float(coverage[1])),
         board=None if board is None else board_from(board),
         views=tuple(view_from(view) for view in record.tables("views")),
+        poses=None if record.value("poses") is None else record.integer("poses"),
+        working_distance_m=record.optional_number("working_distance_m"),
+        distortion=record.optional_mapping("distortion"),
+        half_set=record.optional_mapping("half_set"),
         uncertainty=record.optional_mapping("uncertainty"),
+        corners=record.optional_mapping("corners"),
+        counts_per_kelvin=record.optional_number("counts_per_kelvin"),
+        temperatures_k=None if temperatures is None else (float(temperatures[0]), float(temperatures[1])),
         serials=None if record.value("serials") is None else record.text_pair("serials"),
         source=record.text("source"),
         created=record.text("created"),
+        version=record.integer("version"),
     )
 
 

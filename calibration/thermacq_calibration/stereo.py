@@ -1,41 +1,36 @@
-"""Calibrate a stereo pair from chessboard corners, and judge the result.
+"""Calibrate a stereo pair from corners of a board, and judge the result.
 
-Each camera is calibrated alone first; the joint calibration starts from there and refines everything
-together (on real pairs this halves the influence of single views). Views that fit far worse than the
-others are left out and say so.
-
-Distortion is Brown-Conrady in OpenCV's five coefficients with k3 fixed at 0: k1, k2, p1, p2 are free. On
-17 real 640 x 512 pairs a free k3 lowers the RMS by 0.0003 px while k1 and k2 move by half of their values
-and k2 and k3 cancel each other at the border; a 12 mm lens on a 17 um sensor needs no sixth power.
+One joint least-squares fit of both cameras (see `bundle`), with the distortion model that predicts held-out views
+best (see `distortion`). Views that fit far worse than the others are left out and say so; what cannot be a
+calibration (exchanged sides, a square in millimetres, another board among the views) is refused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermacq_calibration.boards import board_points, check_board
+from thermacq_calibration.bundle import Corners, Fit, fit
+from thermacq_calibration.detection import Detection, NoBoard
+from thermacq_calibration.differences import half_set_difference
+from thermacq_calibration.distortion import choose, folds, refit
+from thermacq_calibration.diversity import groups_of_poses
 from thermacq_calibration.errors import CalibrationError
-from thermacq_calibration.models import Board, CameraModel, Float, ViewReport
+from thermacq_calibration.judgement import refuse_impossible_square, refuse_wrong_sides
+from thermacq_calibration.models import Board, Float, ViewReport
+from thermacq_calibration.outliers import MIN_VIEWS, rows_rms, view_rms, without_outliers
 from thermacq_calibration.record import StereoCalibration
-from thermacq_calibration.rectification import vertical_differences_px
-from thermacq_calibration.targets import Detection, NoBoard
+from thermacq_calibration.solving import first_solution, rms_alone, undetermined
+from thermacq_calibration.uncertainty import REPLICATES, WORKING_DISTANCE_M, bootstrap
 
-MIN_VIEWS = 5
 # Where cameras see parts of a board with markers, a view needs so many corners that both of them see.
 MIN_SHARED_CORNERS = 12
 COVERAGE_CELLS = (8, 6)
-_FOLDS = 5
-# A view is an outlier when its reprojection error, or the difference of its rows after rectification (two
-# pictures that were not taken at the same moment), exceeds the median of the views by this many robust
-# standard deviations and is more than twice the median. At most a quarter of the views may go.
-_OUTLIER_SIGMAS = 5.0
-_OUTLIER_RATIO = 2.0
-_MAX_OUTLIER_PART = 0.25
 
 
 @dataclass(frozen=True)
@@ -60,26 +55,14 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pair:
-    """Corners of a usable view that both cameras saw: (n, 2) float64 pixels each, (n, 3) metres on the board."""
+class _Seen:
+    """Corners of a usable view that both cameras saw."""
 
     name: str
     left: Float
     right: Float
-    points: NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    """A joint calibration and what it says about each view."""
-
-    calibration: StereoCalibration
-    errors_px: Float
-    """(views, 2) reprojection RMS, left and right."""
-    rotations: Float
-    """(views, 3) rotation vector, board to left camera."""
-    translations_m: Float
-    """(views, 3)."""
+    points: NDArray[np.intp]
+    """Which points of the board they are."""
 
 
 def calibrate_stereo(
@@ -88,6 +71,9 @@ def calibrate_stereo(
     image_size: tuple[int, int],
     source: str = "",
     progress: Callable[[str], None] = lambda _: None,
+    *,
+    working_distance_m: float = WORKING_DISTANCE_M,
+    replicates: int = REPLICATES,
 ) -> StereoCalibration:
     """Calibrate both cameras and their relative pose.
 
@@ -103,54 +89,65 @@ def calibrate_stereo(
         Where the views came from; stands in the record.
     progress
         Told in words what happens.
+    working_distance_m
+        Distance from the cameras to the water, at which depth is judged.
+    replicates
+        Of the bootstrap; 0 leaves the uncertainty unknown.
 
     Returns
     -------
     StereoCalibration
-        With per-view reports, rectified vertical error (on held-out views too) and coverage.
+        With per-view reports, rectified vertical error (on held-out views too), coverage, the choice of the
+        distortion model, the difference of half-sets, and uncertainties.
 
     Raises
     ------
     CalibrationError
-        The board is ambiguous, fewer than `MIN_VIEWS` views are usable, or the views do not determine a
-        geometry.
+        The board is ambiguous or impossible, fewer than `MIN_VIEWS` views are usable, the views do not determine
+        a geometry or do not belong together, or left and right are exchanged.
     """
     check_board(board)
-    pairs = [
-        _shared_corners(view.name, view.left, view.right, board)
-        for view in views
-        if isinstance(view.left, Detection) and isinstance(view.right, Detection) and not view.problem
-    ]
-    if len(pairs) < MIN_VIEWS:
+    refuse_impossible_square(board)
+    seen = [_shared_corners(view) for view in views if not view.problem]
+    if len(seen) < MIN_VIEWS:
         raise CalibrationError(
-            f"only {len(pairs)} of {len(views)} views show the board in both pictures; {MIN_VIEWS} are needed"
+            f"only {len(seen)} of {len(views)} views show the board in both pictures; {MIN_VIEWS} are needed"
             " at the least and 25 wanted",
             remedy="Record the board in more poses, tilted by 20 to 40 degrees, over the whole picture.",
         )
-    progress(f"calibrating with {len(pairs)} views")
-    solution, pairs, outliers = _without_outliers(pairs, image_size)
-    progress("cross-validating")
-    held_out = _held_out_vertical(pairs, image_size)
-    measured = _measure(solution, pairs, held_out, board)
-    reports = tuple(_report(view, measured, outliers) for view in views)
-    vertical = _squares_mean([report.vertical_rms_px for report in measured.values()])
+    progress(f"calibrating with {len(seen)} views")
+    points_m = board_points(board)
+    every = Corners.join([(points_m[view.points], view.left, view.right) for view in seen])
+    names = [view.name for view in seen]
+    first = first_solution(every, image_size)
+    groups = _poses(first, points_m)
+    found, kept, outliers = without_outliers(first, every, names, image_size)
+    corners, groups = every.select(kept), groups[kept]
+    refuse_wrong_sides(found.geometry.calibration(image_size))
+    progress("choosing the distortion model")
+    model, scores = choose(found, corners)
+    found = refit(found, corners, model)
+    reports = _reports(found, corners, [names[index] for index in kept], points_m, image_size)
+    half = half_set_difference(found, corners, image_size, working_distance_m)
+    record = _with_alone(found, corners, image_size, model)
     return replace(
-        solution.calibration,
-        vertical_rms_px=vertical,
-        held_out_vertical_rms_px=_squares_mean(held_out),
-        coverage=(
-            coverage([pair.left for pair in pairs], image_size),
-            coverage([pair.right for pair in pairs], image_size),
-        ),
+        record,
+        rms_px=_rms(found.errors_px) * np.sqrt(2),
+        vertical_rms_px=_rms([report.vertical_rms_px for report in reports.values()]),
+        held_out_vertical_rms_px=_rms([report.held_out_vertical_rms_px for report in reports.values()]),
+        coverage=(coverage([corners.left], image_size), coverage([corners.right], image_size)),
         board=board,
-        views=reports,
+        views=tuple(_report(view, reports, outliers) for view in views),
+        poses=int(np.unique(groups).size),
+        working_distance_m=working_distance_m,
+        distortion={"model": model, "scores": [asdict(score) for score in scores]},
+        half_set={"rms_px": half.rms_px, "worst_px": half.worst_px, "depth_m": half.depth_m},
+        uncertainty=None
+        if replicates == 0
+        else bootstrap(found, corners, image_size, groups, working_distance_m, replicates, progress),
+        corners={view.name: _plain(view) for view in seen},
         source=source,
     )
-
-
-def _shared_corners(name: str, left: Detection, right: Detection, board: Board) -> _Pair:
-    shared, in_left, in_right = np.intersect1d(left.indices, right.indices, return_indices=True)
-    return _Pair(name, left.corners[in_left], right.corners[in_right], board_points(board)[shared])
 
 
 def coverage(corners: Sequence[Float], image_size: tuple[int, int]) -> float:
@@ -161,160 +158,75 @@ def coverage(corners: Sequence[Float], image_size: tuple[int, int]) -> float:
     return float(np.mean(counts > 0))
 
 
-def _without_outliers(
-    pairs: list[_Pair], image_size: tuple[int, int]
-) -> tuple[_Solution, list[_Pair], dict[str, str]]:
-    """Calibrate, leave out the view that fits far worse than the others, and repeat until none does."""
-    outliers: dict[str, str] = {}
-    may_go = min(int(_MAX_OUTLIER_PART * len(pairs)), len(pairs) - MIN_VIEWS)
-    while True:
-        solution = _solve(pairs, image_size)
-        fit = np.sqrt(np.mean(solution.errors_px**2, axis=1))
-        rows = np.array([_vertical_rms(solution.calibration, pair) for pair in pairs])
-        excess = np.array([fit / _outlier_limit(fit), rows / _outlier_limit(rows)])
-        kind, worst = divmod(int(np.argmax(excess)), len(pairs))
-        if excess[kind, worst] <= 1 or len(outliers) >= may_go:
-            return solution, pairs, outliers
-        outliers[pairs[worst].name] = _outlier_reason(fit, worst) if kind == 0 else _moved_reason(rows, worst)
-        pairs = pairs[:worst] + pairs[worst + 1 :]
+def _shared_corners(view: View) -> _Seen:
+    assert isinstance(view.left, Detection)
+    assert isinstance(view.right, Detection)
+    shared, in_left, in_right = np.intersect1d(view.left.indices, view.right.indices, return_indices=True)
+    return _Seen(view.name, view.left.corners[in_left], view.right.corners[in_right], shared)
 
 
-def _outlier_limit(errors: Float) -> float:
-    median = float(np.median(errors))
-    sigma = 1.4826 * float(np.median(np.abs(errors - median)))
-    return max(median + _OUTLIER_SIGMAS * sigma, _OUTLIER_RATIO * median, 1e-9)
+def _plain(view: _Seen) -> dict[str, Any]:
+    """Corners for the record: 0.001 px is far below what any detector does."""
+    return {
+        "points": view.points.tolist(),
+        "left": view.left.round(3).tolist(),
+        "right": view.right.round(3).tolist(),
+    }
 
 
-def _outlier_reason(errors: Float, index: int) -> str:
-    return (
-        f"outlier: reprojection error {errors[index]:.2f} px, median of the views {np.median(errors):.2f} px"
-    )
+def _poses(found: Fit, points_m: NDArray[Any]) -> NDArray[np.intp]:
+    """(views,) which views show the same pose of the board; too few poses are refused."""
+    turns = found.poses.rotations
+    groups = groups_of_poses(turns, turns @ points_m.mean(axis=0) + found.poses.translations_m)
+    if (poses := np.unique(groups).size) < MIN_VIEWS:
+        raise undetermined(f"the {groups.size} usable views show only {poses} different poses of the board")
+    return groups
 
 
-def _moved_reason(errors: Float, index: int) -> str:
-    return (
-        f"outlier: rows differ by {errors[index]:.2f} px, median of the views {np.median(errors):.2f} px; "
-        "perhaps the two pictures were not taken at the same moment"
-    )
+def _with_alone(found: Fit, corners: Corners, image_size: tuple[int, int], model: str) -> StereoCalibration:
+    """The geometry as a record, with the error of each camera calibrated alone."""
+    record = found.geometry.calibration(image_size)
+    left, right = rms_alone(corners, image_size, model)
+    return replace(record, left=replace(record.left, rms_px=left), right=replace(record.right, rms_px=right))
 
 
-def _solve(pairs: Sequence[_Pair], image_size: tuple[int, int]) -> _Solution:
-    """Mono calibrations, then the joint one."""
-    import cv2
-
-    points = [pair.points for pair in pairs]
-    left = [pair.left.astype(np.float32) for pair in pairs]
-    right = [pair.right.astype(np.float32) for pair in pairs]
-    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9)
-    try:
-        mono = [_solve_mono(points, corners, image_size, stop) for corners in (left, right)]
-        rms, left_k, left_d, right_k, right_d, rotation, translation, _, _, rvecs, tvecs, errors = (
-            cv2.stereoCalibrateExtended(
-                points,
-                left,
-                right,
-                mono[0].matrix.copy(),
-                mono[0].distortion.copy(),
-                mono[1].matrix.copy(),
-                mono[1].distortion.copy(),
-                image_size,
-                np.eye(3),
-                np.zeros((3, 1)),
-                flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3,
-                criteria=stop,
-            )
-        )
-    except cv2.error as error:
-        raise _undetermined(str(error.err)) from None
-    if not np.isfinite(rms):
-        raise _undetermined("the fit did not converge")
-    calibration = StereoCalibration(
-        image_size,
-        CameraModel(np.asarray(left_k, np.float64), _five(left_d), mono[0].rms_px),
-        CameraModel(np.asarray(right_k, np.float64), _five(right_d), mono[1].rms_px),
-        np.asarray(rotation, np.float64),
-        np.ravel(translation),
-        rms_px=float(rms),
-    )
-    return _Solution(
-        calibration,
-        np.asarray(errors, np.float64).reshape(-1, 2),
-        np.array([np.ravel(vector) for vector in rvecs]),
-        np.array([np.ravel(vector) for vector in tvecs]),
-    )
-
-
-def _solve_mono(
-    points: list[NDArray[np.float32]],
-    corners: list[NDArray[np.float32]],
-    image_size: tuple[int, int],
-    stop: tuple[int, int, float],
-) -> CameraModel:
-    import cv2
-
-    guess = cv2.initCameraMatrix2D(points, corners, image_size)
-    rms, matrix, distortion, *_ = cv2.calibrateCamera(
-        points,
-        corners,
-        image_size,
-        guess,
-        np.zeros(5),
-        flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3,
-        criteria=stop,
-    )
-    return CameraModel(np.asarray(matrix, np.float64), _five(distortion), float(rms))
-
-
-def _five(distortion: NDArray[Any]) -> Float:
-    return np.asarray(distortion, np.float64).ravel()[:5]
-
-
-def _undetermined(detail: str) -> CalibrationError:
-    return CalibrationError(
-        f"the views do not determine the geometry of the cameras ({detail})",
-        remedy="Tilt the board by 20 to 40 degrees about both axes, and show it all over the picture.",
-    )
-
-
-def _held_out_vertical(pairs: list[_Pair], image_size: tuple[int, int]) -> list[float]:
-    """Vertical RMS of each view under a calibration made without it (and without the rest of its fold)."""
-    folds = min(_FOLDS, len(pairs))
-    held_out = np.zeros(len(pairs))
-    for fold in range(folds):
-        rest = [pair for index, pair in enumerate(pairs) if index % folds != fold]
-        calibration = _solve(rest, image_size).calibration
-        for index in range(fold, len(pairs), folds):
-            held_out[index] = _vertical_rms(calibration, pairs[index])
-    return [float(value) for value in held_out]
-
-
-def _measure(
-    solution: _Solution, pairs: list[_Pair], held_out: list[float], board: Board
+def _reports(
+    found: Fit, corners: Corners, names: Sequence[str], points_m: NDArray[Any], image_size: tuple[int, int]
 ) -> dict[str, ViewReport]:
     """Reports of the used views by name."""
-    import cv2
-
-    middle = board_points(board).mean(axis=0)
-    reports = {}
-    for index, pair in enumerate(pairs):
-        rotation = cv2.Rodrigues(solution.rotations[index])[0]
-        centre = rotation @ middle + solution.translations_m[index]
-        reports[pair.name] = ViewReport(
-            pair.name,
+    left, right = (view_rms(found.errors_px[:, side], corners) for side in (slice(0, 2), slice(2, 4)))
+    rows = rows_rms(found.geometry, corners, image_size)
+    held_out = _held_out_rows(found, corners, image_size)
+    turns, shifts = found.poses.rotations, found.poses.translations_m
+    distances = np.linalg.norm(turns @ points_m.mean(axis=0) + shifts, axis=1)
+    tilts = np.degrees(np.arccos(np.minimum(1.0, np.abs(turns[:, 2, 2]))))
+    return {
+        name: ViewReport(
+            name,
             used=True,
-            left_rms_px=float(solution.errors_px[index, 0]),
-            right_rms_px=float(solution.errors_px[index, 1]),
-            vertical_rms_px=_vertical_rms(solution.calibration, pair),
-            held_out_vertical_rms_px=held_out[index],
-            tilt_deg=float(np.degrees(np.arccos(min(1.0, abs(rotation[2, 2]))))),
-            distance_m=float(np.linalg.norm(centre)),
+            left_rms_px=float(left[index]),
+            right_rms_px=float(right[index]),
+            vertical_rms_px=float(rows[index]),
+            held_out_vertical_rms_px=float(held_out[index]),
+            tilt_deg=float(tilts[index]),
+            distance_m=float(distances[index]),
         )
-    return reports
+        for index, name in enumerate(names)
+    }
 
 
-def _report(view: View, measured: dict[str, ViewReport], outliers: dict[str, str]) -> ViewReport:
+def _held_out_rows(found: Fit, corners: Corners, image_size: tuple[int, int]) -> Float:
+    """(views,) difference of rows in each view under a calibration made without it (and the rest of its fold)."""
+    rows = np.empty(corners.views)
+    for train, test in folds(corners.views):
+        part = fit(found.geometry, found.poses.select(train), corners.select(train), found.free)
+        rows[test] = rows_rms(part.geometry, corners.select(test), image_size)
+    return rows
+
+
+def _report(view: View, reports: dict[str, ViewReport], outliers: dict[str, str]) -> ViewReport:
     problem = view.problem or outliers.get(view.name, "")
-    report = ViewReport(view.name, used=False, reason=problem) if problem else measured[view.name]
+    report = ViewReport(view.name, used=False, reason=problem) if problem else reports[view.name]
     found = [side for side in (view.left, view.right) if isinstance(side, Detection)]
     if not found:
         return report
@@ -325,9 +237,5 @@ def _report(view: View, measured: dict[str, ViewReport], outliers: dict[str, str
     )
 
 
-def _vertical_rms(calibration: StereoCalibration, pair: _Pair) -> float:
-    return float(np.sqrt(np.mean(vertical_differences_px(calibration, pair.left, pair.right) ** 2)))
-
-
-def _squares_mean(values: Sequence[Any]) -> float:
+def _rms(values: Sequence[Any] | Float) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

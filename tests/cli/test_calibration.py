@@ -94,9 +94,10 @@ def test_globs_name_the_sides(folder, tmp_path, run):
         "-o",
         tmp_path / "c",
     )
-    assert done.exit_code == 0
-    assert "exchanged" in done.stderr
-    assert load_calibration(tmp_path / "c").translation_m[0] > 0
+    assert isinstance(done.exception, CalibrationError)
+    assert "exchanged" in done.exception.what
+    assert done.exception.kept == "No file was written."
+    assert not (tmp_path / "c").exists()
 
 
 def test_no_board_anywhere_shows_each_view_and_writes_nothing(folder, tmp_path, run):
