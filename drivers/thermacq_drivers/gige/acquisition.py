@@ -134,9 +134,9 @@ class Acquisition:
         """Frames that are missing because no buffer was free were lost by the host, not by the network."""
         lost = counter - self._counter - 1 if self._counter >= 0 else 0
         self._counter = counter
-        if lost > 0 and (refused := self._link.new_underruns()) > 0:
+        if lost > 0 and self._link.ran_short_of_buffers():
             self._held = delivery
-            raise self._fault(DeviceOverrun, f"{refused} frames found no free buffer: the host was late")
+            raise self._fault(DeviceOverrun, f"{lost} frames found no free buffer: the host was late")
 
     def _check_silence(self) -> None:
         now_s = time.monotonic()

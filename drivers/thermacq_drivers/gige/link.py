@@ -310,11 +310,10 @@ class AravisLink:
         stream.push_buffer(buffer)
         return delivery
 
-    def new_underruns(self) -> int:
-        """Frames that found no free buffer since the last call."""
-        total = self.statistics().get("n_underruns", 0)
-        new, self._underruns = total - self._underruns, total
-        return new
+    def ran_short_of_buffers(self) -> bool:
+        """Whether packets found no free buffer since the last call."""
+        before, self._underruns = self._underruns, self.statistics().get("n_underruns", 0)
+        return self._underruns > before
 
     def statistics(self) -> Mapping[str, int]:
         """Counts of the stream since it was prepared, by Aravis' names, e.g. ``n_missing_packets``."""

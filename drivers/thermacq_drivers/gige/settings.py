@@ -48,7 +48,7 @@ class GigeSettings(BaseModel):
     socket_buffer_bytes: int = Field(
         4 << 20, ge=1 << 16, le=1 << 30, description="receive buffer; the system may grant less"
     )
-    buffers: int = Field(20, ge=4, le=500, description="frames that wait for a late host")
+    buffers: int = Field(50, ge=4, le=500, description="frames that wait for a late host")
     incomplete_frames: Literal["drop", "keep"] = Field(
         "drop", description="frames that lack packets: counted as lost, or stored and flagged"
     )
