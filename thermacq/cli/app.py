@@ -19,6 +19,7 @@ from thermacq.cli import (
     devices,
     evaluation,
     noise,
+    preheat,
     reconstruction,
     recording,
     rig,
@@ -48,6 +49,7 @@ app.command("import")(store.import_)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(correction.app, name="correction")
+app.command("preheat")(preheat.preheat)
 app.command("noise")(noise.noise)
 app.command("still-water")(reconstruction.still_water)
 app.command("reconstruct")(reconstruction.reconstruct)
