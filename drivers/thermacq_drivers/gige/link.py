@@ -75,7 +75,7 @@ class AravisLink:
             self._device = self._camera.get_device()
         self._is_gv = bool(self._camera.is_gv_device())
         if self._is_gv and not self._device.is_controller():
-            raise LinkError("another program controls it; close that program first")
+            raise LinkError("another program, or another camera of this rig, controls it")
         # The handler must not know this object: Aravis would keep both alive for ever.
         lost = self._lost
         self._handler = self._device.connect("control-lost", lambda _device: lost.set())
