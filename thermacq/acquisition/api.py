@@ -16,7 +16,9 @@ from thermacq.acquisition import control
 from thermacq.acquisition.job import Job, RecordingResult, error_from_dict
 from thermacq.acquisition.plan import check_time
 from thermacq.errors import AcquisitionError
+from thermacq.plugins import plugins
 from thermacq.rig import Rig, load_rig
+from thermacq.rig.rehearsal import emulated_devices
 
 if TYPE_CHECKING:
     from thermacq_calibration import StereoCalibration
@@ -117,6 +119,7 @@ def start(
     frames: int | None = None,
     scene: Path | None = None,
     calibration: Path | StereoCalibration | None = None,
+    emulate: bool = False,
 ) -> Session:
     """Start a recorder; it goes on when this process ends.
 
@@ -132,6 +135,8 @@ def start(
         Scene file whose keys replace those of the rig's ``[scene]`` table; needs `rig` to be a file.
     calibration
         Stereo calibration to store with the run.
+    emulate
+        Emulators play the devices that have one: a rehearsal without hardware.
 
     Raises
     ------
@@ -156,8 +161,11 @@ def start(
         duration_s=duration_s,
         frames=frames,
         calibration=_calibration_values(calibration),
+        emulate=emulate,
     )
     check_time(job)
+    if emulate:
+        emulated_devices(resolved, plugins())
     folder = control.new_folder(job.run_id)
     control.write_json(folder / control.JOB, job.to_dict())
     return Session(folder, _launch(folder))
@@ -171,13 +179,22 @@ def record(
     frames: int | None = None,
     scene: Path | None = None,
     calibration: Path | StereoCalibration | None = None,
+    emulate: bool = False,
     on_status: OnStatus | None = None,
 ) -> RecordingResult:
     """Record one run and wait for its end; parameters as in `start`.
 
     A keyboard interrupt ends the recording cleanly and is raised again once the file is closed.
     """
-    session = start(rig, output, duration_s=duration_s, frames=frames, scene=scene, calibration=calibration)
+    session = start(
+        rig,
+        output,
+        duration_s=duration_s,
+        frames=frames,
+        scene=scene,
+        calibration=calibration,
+        emulate=emulate,
+    )
     try:
         session.follow(on_status)
     except KeyboardInterrupt:

@@ -6,10 +6,11 @@ recording.
 
 from __future__ import annotations
 
+import json
 import signal
 import time
 import traceback
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from multiprocessing.connection import Connection
 
 import numpy as np
@@ -31,8 +32,10 @@ from thermacq.devices import (
     WaveProbe,
 )
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
+from thermacq.hooks import Emulation
 from thermacq.plugins import plugins
-from thermacq.store import EventKind
+from thermacq.rig.rehearsal import transports_for
+from thermacq.store import Event, EventKind
 from thermacq.timing import make_clock
 
 _POLL_S = 0.05
@@ -74,6 +77,7 @@ def device_main(
     except DeviceFault as problem:
         fault = problem
         station.event(_event_kind(problem), problem.last_frame, problem.what)
+    _tell_injected_faults(spec, station)
     if outbox.thrown_away:
         outbox.send(_CLOSING_PATIENCE_S)
         station.event(EventKind.NOTE, -1, f"{outbox.thrown_away} events were lost: the writer was late")
@@ -84,9 +88,10 @@ def device_main(
 
 def _live(spec: DeviceSpec, station: Station, block: SharedBlock, recorder: Connection) -> None:
     device: Device | None = None
+    attached = ExitStack()
     stage = "open"
     try:
-        device = _make(spec, station)
+        device = _make(spec, station, attached)
         identity = device.open()
         stage = "configure"
         applied = device.configure(spec.settings)
@@ -113,15 +118,22 @@ def _live(spec: DeviceSpec, station: Station, block: SharedBlock, recorder: Conn
                 device.disarm()
             with suppress(Exception):
                 device.close()
+        with suppress(Exception):
+            attached.close()
 
 
-def _make(spec: DeviceSpec, station: Station) -> Device:
+def _make(spec: DeviceSpec, station: Station, attached: ExitStack) -> Device:
+    """Make the device; an emulator that plays it lives until `attached` is closed."""
     driver = plugins().driver(spec.driver, spec.kind)
+    transports = attached.enter_context(
+        transports_for(spec.driver, spec.name, station.clock, spec.runtime_dir, spec.emulation)
+    )
     context = DeviceContext(
         spec.name,
         station.clock,
         spec.scene,
         spec.runtime_dir,
+        transports,
         serial=spec.serial,
         settings=spec.settings,
     )
@@ -129,6 +141,17 @@ def _make(spec: DeviceSpec, station: Station) -> Device:
     if not isinstance(device, _PROTOCOLS[spec.kind]):
         raise DeviceFault(spec.name, "open", f"driver '{spec.driver}' makes no {spec.kind.value}")
     return device
+
+
+def _tell_injected_faults(spec: DeviceSpec, station: Station) -> None:
+    """Store what an emulator acted out beside what the recording made of it."""
+    log = Emulation(spec.name, station.clock, spec.runtime_dir).fault_log
+    if spec.emulation is None or not log.is_file():
+        return
+    for line in log.read_text(encoding="utf-8").splitlines():
+        injected = json.loads(line)
+        detail = f"emulator acted out: {injected['fault']}"
+        station.outbox.post(Event(injected["host_ns"], spec.name, EventKind.NOTE, injected["item"], detail))
 
 
 def _wait_for_order(recorder: Connection, station: Station) -> ArmOrder | None:

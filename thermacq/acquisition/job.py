@@ -27,6 +27,8 @@ class Job:
         When to end; at most one is given. Without, the recording goes on until it is stopped.
     calibration
         Stereo calibration record as plain values, or None.
+    emulate
+        Whether emulators play the devices that have one.
     """
 
     run_id: str
@@ -35,6 +37,7 @@ class Job:
     duration_s: float | None = None
     frames: int | None = None
     calibration: dict[str, Any] | None = None
+    emulate: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
@@ -45,6 +48,7 @@ class Job:
             "duration_s": self.duration_s,
             "frames": self.frames,
             "calibration": self.calibration,
+            "emulate": self.emulate,
         }
 
     @classmethod

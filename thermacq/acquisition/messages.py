@@ -49,7 +49,10 @@ ASKED_FOR = frozenset({EndReason.COMPLETED, EndReason.STOPPED})
 
 @dataclass(frozen=True)
 class DeviceSpec:
-    """Which device a device process shall run; `index` is its row on the board."""
+    """Which device a device process shall run; `index` is its row on the board.
+
+    `emulation` holds the settings of the emulator that plays it; None runs the real (or simulated) one.
+    """
 
     index: int
     name: str
@@ -62,6 +65,7 @@ class DeviceSpec:
     recorder_pid: int
     core: int | None = None
     serial: str = ""
+    emulation: Settings | None = None
 
 
 @dataclass(frozen=True)

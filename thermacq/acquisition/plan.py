@@ -23,6 +23,7 @@ from thermacq.rig.fit import find_misfits
 from thermacq.rig.inspection import DeviceReport
 from thermacq.rig.load import devices_of
 from thermacq.rig.machine import this_machine
+from thermacq.rig.rehearsal import emulated_devices
 from thermacq.store import CameraStream, ProbeStream, RunHeader
 from thermacq.timing import NS_PER_S, ClockSettings
 
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
 _PACKAGES = ("thermacq", "numpy", "h5py", "numcodecs")
 
 
-def device_specs(rig: Rig, runtime_dir: Path) -> list[DeviceSpec]:
+def device_specs(rig: Rig, runtime_dir: Path, emulate: bool = False) -> list[DeviceSpec]:
     """Devices that take part: all cameras and probes, and in hardware mode the trigger source."""
+    emulated = emulated_devices(rig, plugins()) if emulate else {}
     specs: list[DeviceSpec] = []
     shared_cores = rig.trigger.mode is not TriggerMode.SOFTWARE or rig.clock.kind == "virtual"
     for (_, name), kind, table in devices_of(rig):
@@ -55,6 +57,7 @@ def device_specs(rig: Rig, runtime_dir: Path) -> list[DeviceSpec]:
                 recorder_pid=os.getpid(),
                 core=core,
                 serial=table.serial,
+                emulation=emulated.get(name),
             )
         )
     return specs
@@ -118,6 +121,7 @@ def check_fit(job: Job, opened: Mapping[str, Opened]) -> list[str]:
                     driver=table.driver,
                     requested=table.settings,
                     evidence=plugins().driver(table.driver, kind).evidence,
+                    emulated=job.emulate,
                     identity=answer.identity,
                     applied=answer.applied,
                     capabilities=answer.capabilities,
@@ -198,6 +202,7 @@ def streams(opened: Mapping[str, Opened]) -> tuple[tuple[CameraStream, ...], tup
 def header(job: Job, specs: Sequence[DeviceSpec], start_ns: int, start_unix_ns: int) -> RunHeader:
     """Header of the run file; `start_ns` and `start_unix_ns` are the same instant."""
     evidences = [plugins().driver(spec.driver, spec.kind).evidence for spec in specs]
+    emulated = tuple(spec.name for spec in specs if spec.emulation is not None)
     start = datetime.fromtimestamp(start_unix_ns / NS_PER_S, UTC)
     return RunHeader(
         run_id=job.run_id,
@@ -206,10 +211,11 @@ def header(job: Job, specs: Sequence[DeviceSpec], start_ns: int, start_unix_ns: 
         wall_anchor_ns=start_unix_ns,
         host_anchor_ns=start_ns,
         clock=job.rig.clock.kind,
-        simulated=Evidence.SIMULATED in evidences,
+        simulated=Evidence.SIMULATED in evidences or bool(emulated),
         rig=job.rig.model_dump(mode="json"),
         calibration=job.calibration,
         versions=versions(),
+        emulated=emulated,
     )
 
 

@@ -67,7 +67,7 @@ class Recorder:
         self._job = job
         self._desk = desk
         self._virtual = job.rig.clock.kind == "virtual"
-        self._specs = plan.device_specs(job.rig, folder)
+        self._specs = plan.device_specs(job.rig, folder, job.emulate)
         self._board = Board(len(self._specs))
         self._devices: list[DeviceChild] = []
         self._writer: Child | None = None

@@ -32,6 +32,9 @@ def record(
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Stereo calibration to store with the run.")
     ] = None,
+    emulate: Annotated[
+        bool, typer.Option("--emulate", help="A rehearsal: emulators play the devices that have one.")
+    ] = False,
     detach: Annotated[
         bool, typer.Option("--detach", help="Return once it records; see `status` and `stop`.")
     ] = False,
@@ -40,7 +43,15 @@ def record(
     """Record a run. Ctrl-C ends it cleanly and keeps everything; without a length it goes on until then."""
     from thermacq.acquisition import start
 
-    session = start(rig, output, duration_s=duration_s, frames=frames, scene=scene, calibration=calibration)
+    session = start(
+        rig,
+        output,
+        duration_s=duration_s,
+        frames=frames,
+        scene=scene,
+        calibration=calibration,
+        emulate=emulate,
+    )
     if detach:
         _detach(session, output, as_json)
         return

@@ -49,6 +49,9 @@ def check(
     defaults: Annotated[
         bool, typer.Option("--defaults", help="Show the settings that the rig file leaves to the device too.")
     ] = False,
+    emulate: Annotated[
+        bool, typer.Option("--emulate", help="Emulators play the devices that have one.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Open every device, show what it applied, and say what does not fit (then exit with 3)."""
@@ -57,10 +60,11 @@ def check(
     from thermacq.rig.fit import find_misfits, load_of
     from thermacq.rig.inspection import inspect_devices
     from thermacq.rig.machine import this_machine
+    from thermacq.rig.rehearsal import emulated_devices
 
     rig = load_rig(rig_file, scene)
     with err.status("opening the devices ..."):
-        reports = inspect_devices(rig)
+        reports = inspect_devices(rig, emulated=emulated_devices(rig, plugins()) if emulate else None)
     machine = this_machine(Path.cwd())
     findings = find_misfits(rig, reports, plugins(), machine)
     load = load_of(rig, reports)
@@ -90,7 +94,8 @@ def _show_device(report: DeviceReport, with_defaults: bool) -> None:
     found = report.identity
     who = f"{found.model}, serial {found.serial}" if found else "not opened"
     proven = f", proven on: {report.evidence}" if report.evidence else ""
-    out.print(f"[bold]{escape(report.name)}[/]  {escape(who)} ({report.driver}{proven})")
+    emulated = "[bold yellow]EMULATED[/]  " if report.emulated else ""
+    out.print(f"[bold]{escape(report.name)}[/]  {emulated}{escape(who)} ({report.driver}{proven})")
     requested, applied = flat(report.requested), flat(report.applied)
     for key, asked in requested.items():
         in_force = f"{applied[key]!r}" if key in applied else "not applied"

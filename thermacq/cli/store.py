@@ -38,6 +38,8 @@ def info(run: Run, as_json: AsJson = False) -> None:
         "complete" if facts["complete"] else "not closed: being written, or cut short (`thermacq recover`)"
     )
     out.print(f"state: {state}{', simulated' if facts['simulated'] else ''}", markup=False)
+    if facts["emulated"]:
+        out.print(f"EMULATED, not hardware: {', '.join(facts['emulated'])}", markup=False)
     for camera in facts["cameras"]:
         out.print(
             f"camera {camera['name']}: {camera['frames']} frames of {camera['columns']} x {camera['rows']} "
@@ -162,6 +164,7 @@ def _facts(run: RunFile) -> dict[str, Any]:
         "end_reason": run.end_reason,
         "clock": header.clock,
         "simulated": header.simulated,
+        "emulated": list(header.emulated),
         "complete": run.complete,
         "size_mb": round(run.path.stat().st_size / 1e6, 3),
         "compression": run.compression,

@@ -106,7 +106,8 @@ def _device_findings(rig: Rig, reports: Sequence[DeviceReport]) -> Iterator[RigF
         for key, value in flat(report.requested).items():
             if key in applied and applied[key] != value:
                 yield _warning(f"{report.name}: {key}: asked {value!r}, applied {applied[key]!r}")
-        if rig.clock.kind == "virtual" and report.evidence not in (None, Evidence.SIMULATED):
+        real = report.evidence not in (None, Evidence.SIMULATED) and not report.emulated
+        if rig.clock.kind == "virtual" and real:
             yield _error(f"{report.name}: a real device cannot follow the virtual clock")
     for one, other in combinations([report for report in reports if report.identity], 2):
         if one.identity == other.identity:

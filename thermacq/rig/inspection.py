@@ -11,7 +11,8 @@ import signal
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -23,6 +24,7 @@ from thermacq.devices import (
     DeviceIdentity,
     DeviceKind,
     ProbeCapabilities,
+    Settings,
     TriggerCapabilities,
 )
 from thermacq.errors import ThermacqError
@@ -30,6 +32,7 @@ from thermacq.hooks import Evidence
 from thermacq.plugins import plugins
 from thermacq.rig.load import DeviceTable, devices_of
 from thermacq.rig.model import Rig
+from thermacq.rig.rehearsal import transports_for
 from thermacq.timing.clock import ClockSettings, make_clock
 
 OPENING_TIMEOUT_S = 30.0
@@ -52,6 +55,8 @@ class DeviceReport:
         What the device answered; `identity` and `capabilities` are None when it did not get so far.
     error, remedy
         Why it did not get to the end; `error` is empty when it did.
+    emulated
+        Whether an emulator played it.
     """
 
     name: str
@@ -64,6 +69,7 @@ class DeviceReport:
     capabilities: CameraCapabilities | ProbeCapabilities | TriggerCapabilities | None = None
     error: str = ""
     remedy: str = ""
+    emulated: bool = False
 
 
 def flat(settings: Mapping[str, Any], place: str = "") -> dict[str, Any]:
@@ -77,7 +83,9 @@ def flat(settings: Mapping[str, Any], place: str = "") -> dict[str, Any]:
     return found
 
 
-def inspect_devices(rig: Rig, timeout_s: float = OPENING_TIMEOUT_S) -> list[DeviceReport]:
+def inspect_devices(
+    rig: Rig, timeout_s: float = OPENING_TIMEOUT_S, emulated: Mapping[str, Settings] | None = None
+) -> list[DeviceReport]:
     """Open, configure and close every device of a rig.
 
     Parameters
@@ -86,6 +94,8 @@ def inspect_devices(rig: Rig, timeout_s: float = OPENING_TIMEOUT_S) -> list[Devi
         The resolved rig.
     timeout_s
         How long any device may take to open and answer, seconds.
+    emulated
+        Devices that emulators play, with the settings of the emulators (`thermacq.rig.rehearsal`).
 
     Returns
     -------
@@ -94,7 +104,8 @@ def inspect_devices(rig: Rig, timeout_s: float = OPENING_TIMEOUT_S) -> list[Devi
     """
     with tempfile.TemporaryDirectory(prefix="thermacq-") as folder:
         sessions = [
-            _Session(rig, place[1], kind, table, Path(folder)) for place, kind, table in devices_of(rig)
+            _Session(rig, place[1], kind, table, Path(folder), (emulated or {}).get(place[1]))
+            for place, kind, table in devices_of(rig)
         ]
         deadline_s = time.monotonic() + timeout_s
         try:
@@ -109,13 +120,23 @@ def inspect_devices(rig: Rig, timeout_s: float = OPENING_TIMEOUT_S) -> list[Devi
 class _Session:
     """The parent's side of one opened device."""
 
-    def __init__(self, rig: Rig, name: str, kind: DeviceKind, table: DeviceTable, folder: Path) -> None:
-        self._empty = DeviceReport(name, kind, table.driver, dict(table.settings))
+    def __init__(
+        self,
+        rig: Rig,
+        name: str,
+        kind: DeviceKind,
+        table: DeviceTable,
+        folder: Path,
+        emulation: Settings | None,
+    ) -> None:
+        self._empty = DeviceReport(
+            name, kind, table.driver, dict(table.settings), emulated=emulation is not None
+        )
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process: BaseProcess = context.Process(
             target=_open_and_report,
-            args=(theirs, self._empty, rig, folder, table.serial),
+            args=(theirs, self._empty, rig, folder, table.serial, emulation),
             name=f"check-{name}",
             daemon=True,
         )
@@ -153,20 +174,27 @@ class _Session:
 
     def _failed(self, what: str) -> DeviceReport:
         empty = self._empty
-        return DeviceReport(empty.name, empty.kind, empty.driver, empty.requested, error=what)
+        return replace(empty, error=what)
 
 
-def _open_and_report(pipe: Connection, empty: DeviceReport, rig: Rig, folder: Path, serial: str) -> None:
+def _open_and_report(
+    pipe: Connection, empty: DeviceReport, rig: Rig, folder: Path, serial: str, emulation: Settings | None
+) -> None:
     """Child process: open and configure, answer, hold the device until the parent lets go, close."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides, and closes the devices
     answer = dict(vars(empty))
-    device = None
+    device, attached = None, ExitStack()
     try:
         pipe.send("load driver")
         driver = plugins().driver(empty.driver, empty.kind)
         answer["evidence"] = driver.evidence
         clock = make_clock(ClockSettings(rig.clock.kind, rig.clock.speed))
-        context = DeviceContext(empty.name, clock, rig.scene, folder, serial=serial, settings=empty.requested)
+        transports = attached.enter_context(
+            transports_for(empty.driver, empty.name, clock, folder, emulation)
+        )
+        context = DeviceContext(
+            empty.name, clock, rig.scene, folder, transports, serial=serial, settings=empty.requested
+        )
         device = driver.make(context)
         pipe.send("open")
         answer["identity"] = device.open()
@@ -184,3 +212,4 @@ def _open_and_report(pipe: Connection, empty: DeviceReport, rig: Rig, folder: Pa
     finally:
         if device is not None:
             device.close()
+        attached.close()

@@ -123,8 +123,29 @@ def check_drivers(rig: Rig, known: Plugins, origin: str = "rig", text: str = "")
             model.model_validate(table.settings)
         except ValidationError as error:
             lines.append(explain(error, model, origin, text, (*place, "settings")))
+    lines += _emulation_mistakes(rig, known, origin, text)
     if lines:
         raise RigError("\n".join(lines), remedy="Mend these lines; `thermacq devices` lists the drivers.")
+
+
+def _emulation_mistakes(rig: Rig, known: Plugins, origin: str, text: str) -> Iterator[str]:
+    """What is wrong in the tables ``[emulation.DEVICE]``."""
+    drivers = {place[1]: table.driver for place, _, table in devices_of(rig)}
+    emulators = known.emulators() if rig.emulation else {}
+    for name, settings in rig.emulation.items():
+        place = ("emulation", name)
+        if name not in drivers:
+            near = difflib.get_close_matches(name, drivers, n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            yield _line(place, f"there is no device '{name}' in this rig{hint}", origin, text)
+        elif drivers[name] not in emulators:
+            yield _line(place, f"driver '{drivers[name]}' has no emulator", origin, text)
+        else:
+            model = emulators[drivers[name]].settings()
+            try:
+                model.model_validate(settings)
+            except ValidationError as error:
+                yield explain(error, model, origin, text, place)
 
 
 def _contradictions(rig: Rig) -> Iterator[tuple[_Place, str]]:

@@ -170,3 +170,6 @@ class Rig(_Table):
     scene: dict[str, Any] = Field(
         default_factory=dict, description="what simulated devices look at; real devices ignore it"
     )
+    emulation: dict[DeviceName, dict[str, Any]] = Field(
+        default_factory=dict, description="settings of the emulators of devices, for `--emulate`"
+    )

@@ -84,13 +84,15 @@ class RunHeader:
     clock
         Whether host time is the machine's monotonic clock or a virtual one.
     simulated
-        Whether any device was simulated.
+        Whether any device was simulated or emulated.
     rig
         The resolved rig, ``Rig.model_dump(mode="json")``.
     calibration
         The stereo calibration that belongs to the run, or None.
     versions
         Versions of the software and drivers.
+    emulated
+        Names of the devices that emulators played in place of hardware.
     """
 
     run_id: str
@@ -103,6 +105,7 @@ class RunHeader:
     rig: dict[str, Any]
     calibration: dict[str, Any] | None = None
     versions: dict[str, str] = field(default_factory=dict)
+    emulated: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)

@@ -89,6 +89,8 @@ class VirtualClock:
 
     def __init__(self, speed: float = 0.0) -> None:
         self._speed = speed
+        # Called with `stopping` before time passes: what is still under way in other threads ends first.
+        self.holds: list[Callable[[Callable[[], bool]], None]] = []
         self.start()
 
     def start(self) -> None:
@@ -102,6 +104,8 @@ class VirtualClock:
 
     def wait_until_ns(self, deadline_ns: int, stopping: Callable[[], bool] = _never) -> int:
         """Advance to the deadline; with a speed, not before real time has caught up."""
+        for hold in tuple(self.holds):
+            hold(stopping)
         while self._speed > 0 and not stopping():
             ahead_ns = deadline_ns / self._speed - (time.perf_counter_ns() - self._real_start_ns)
             if ahead_ns <= 0:

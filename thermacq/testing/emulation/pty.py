@@ -12,13 +12,13 @@ import select
 import threading
 import time
 import tty
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Protocol, Self
 
 from thermacq.testing.emulation.faults import FaultKind, FaultSchedule, FaultSettings, damaged
-from thermacq.timing.clock import NS_PER_S, Clock
+from thermacq.timing.clock import NS_PER_S, Clock, VirtualClock
 from thermacq.transports import SerialNode
 
 _POLL_S = 0.005
@@ -98,6 +98,7 @@ class PtyPort:
         self._pull: float | None = None
         self._silent_until_s = 0.0
         self._item = 0
+        self._busy = False
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name=f"emulated port {node.serial}", daemon=True)
 
@@ -105,12 +106,16 @@ class PtyPort:
         """Plug in and serve."""
         self.plug()
         self._thread.start()
+        if isinstance(self._clock, VirtualClock):
+            self._clock.holds.append(self._settle)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End the thread and unplug."""
+        if isinstance(self._clock, VirtualClock):
+            self._clock.holds.remove(self._settle)
         self._ending.set()
         self._thread.join()
         self.unplug()
@@ -152,6 +157,22 @@ class PtyPort:
             self._ends = None
             self._replug_s = time.monotonic() + replug_after_s if replug_after_s > 0 else None
 
+    def _settle(self, stopping: Callable[[], bool]) -> None:
+        """Keep virtual time from passing while bytes are on the wire, or the device is behind with its acts."""
+        if threading.current_thread() is not self._thread:
+            while self._thread.is_alive() and not (self._is_quiet() or stopping()):
+                time.sleep(_POLL_S / 25)
+
+    def _is_quiet(self) -> bool:
+        with self._lock:
+            if self._ends is None:
+                return True
+            # Looked at in this order: the thread is busy before it takes the bytes.
+            if select.select([self._ends[0]], [], [], 0)[0] or self._busy:
+                return False
+        due_ns = self._device.due_ns()
+        return self._drives_time or due_ns is None or due_ns > self._clock.now_ns()
+
     def _serve(self) -> None:
         while not self._ending.is_set():
             if self._pull is not None:
@@ -186,11 +207,13 @@ class PtyPort:
         with self._lock:
             if self._ends is None:
                 return
+            self._busy = True
             try:
                 data = os.read(self._ends[0], _LARGEST_READ)
             except OSError:
-                return
+                data = b""
         self._send(self._device.receive(data))
+        self._busy = False
 
     def _send(self, items: Sequence[bytes]) -> None:
         for item in items:

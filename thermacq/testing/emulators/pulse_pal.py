@@ -39,6 +39,7 @@ CYCLES_PER_S = 20_000
 _HIGH_V = 2.0
 _MARK = 213
 _CHANNELS = 4
+_LARGEST_LEAD = 64
 _SETTINGS_BYTES = 178
 # Bytes after mark and command; commands whose length follows from their content are handled apart.
 _LENGTHS = {72: 0, 73: _SETTINGS_BYTES, 77: 1, 79: 3, 80: 0, 81: 0, 82: 2, 85: 0, 86: 2, 87: 1, 89: 6}
@@ -234,7 +235,7 @@ class PulsePalBox:
         for channel, output in enumerate(self.outputs):
             while (cycle := output.next_cycle()) is not None:
                 due_ns = self._clock.host_ns(cycle, CYCLES_PER_S)
-                if due_ns > now_ns:
+                if due_ns > now_ns or self._is_far_ahead(channel):
                     break
                 if output.is_over():
                     self._end(channel)
@@ -243,6 +244,11 @@ class PulsePalBox:
                 line = self._lines[channel]
                 if line is not None and output.seen():
                     self._emit(line, due_ns)
+
+    def _is_far_ahead(self, channel: int) -> bool:
+        """In virtual time the box waits when its slowest follower is many pulses behind."""
+        line = self._lines[channel]
+        return self._host.is_virtual and line is not None and line.lead() >= _LARGEST_LEAD
 
     def _emit(self, line: LineWriter, due_ns: int) -> None:
         """Put a pulse on the wire, as the faults leave it; times on a line never go back."""
