@@ -8,6 +8,7 @@ well. Writes its table into ``docs/explanation/correction-ablation.md``.
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 import tomllib
 from collections.abc import Sequence
@@ -20,12 +21,20 @@ from numpy.typing import NDArray
 
 from thermacq.acquisition import record
 from thermacq.evaluation.flatness import flatness
+from thermacq.errors import ReconstructionError
 from thermacq.hooks import TruthRequest
 from thermacq.imaging import NO_CORRECTIONS, Corrections, Stage
 from thermacq.imaging.making import make_corrections
 from thermacq.imaging.references import parse_reference
 from thermacq.plugins import plugins
-from thermacq.reconstruction import Source, WorldFrame, open_product, open_source, reconstruct
+from thermacq.reconstruction import (
+    Source,
+    WorldFrame,
+    open_product,
+    open_source,
+    parts_folder_of,
+    reconstruct,
+)
 from thermacq.rig import Rig
 from thermacq.store import open_run
 from thermacq_calibration import CameraCorrection, CameraModel, StereoCalibration
@@ -33,7 +42,7 @@ from thermacq_drivers.simflume.ready_made import rig_toml, scene_toml
 
 PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "correction-ablation.md"
 BEGIN, END = "<!-- table made by `python -m benchmarks ablation` -->", "<!-- end of the table -->"
-PAIRS = 50
+PAIRS = 40
 RANGE = {"min_disparity": 40, "max_disparity": 96}
 REFERENCE_RATE_HZ = 2.0
 FRAMES_EACH = 64
@@ -88,6 +97,7 @@ def run() -> list[dict[str, Any]]:
         {"name": f"{one.scene}: {one.stage}: {what}", "value": 1000 * value, "unit": "mm"}
         for one in outcomes
         for what, value in (("single-frame sigma", one.single_m), ("error", one.error_m))
+        if one.supported > 0
     ]
 
 
@@ -142,7 +152,9 @@ def _corrections(cameras: str, folder: Path) -> dict[str, dict[str, CameraCorrec
         "two-point": make_corrections(cold, hot, check=check),
         "shaded": make_corrections(cold, hot, check=check, uniform=check),
         "wide": make_corrections(
-            parse_reference(f"{wide}@285"), parse_reference(f"{wide}@305"), check=parse_reference(f"{wide}{last}")
+            parse_reference(f"{wide}@285"),
+            parse_reference(f"{wide}@305"),
+            check=parse_reference(f"{wide}{last}"),
         ),
     }
     narrow.unlink()
@@ -184,7 +196,11 @@ class _Truth:
     def of(cls, path: Path) -> _Truth:
         with open_run(path) as run:
             request = TruthRequest(
-                scene=run.header.rig["scene"], time_s=np.zeros(1), x_m=np.zeros(1), y_m=np.zeros(1), rig=run.header.rig
+                scene=run.header.rig["scene"],
+                time_s=np.zeros(1),
+                x_m=np.zeros(1),
+                y_m=np.zeros(1),
+                rig=run.header.rig,
             )
         truth = plugins().truth(request)
         assert truth is not None
@@ -233,7 +249,13 @@ def _measure(scene: str, stage: str, source: Source, truth: _Truth, folder: Path
     output = folder / "eta.nc"
     output.unlink(missing_ok=True)
     cores = len(os.sched_getaffinity(0))
-    result = reconstruct(source, output, world=truth.world(source), workers=cores, progress=lambda *_: None)
+    try:
+        result = reconstruct(
+            source, output, world=truth.world(source), workers=cores, progress=lambda *_: None
+        )
+    except ReconstructionError:
+        shutil.rmtree(parts_folder_of(output), ignore_errors=True)
+        return Outcome(scene, stage, *[float("nan")] * 4, 0.0)
     with open_product(output) as product:
         eta = product["eta"].to_numpy().astype(np.float64)
         time_s, x_m, y_m = (product[name].to_numpy().astype(np.float64) for name in ("time", "x", "y"))
@@ -263,7 +285,7 @@ def _write_page(outcomes: Sequence[Outcome]) -> None:
         for one in outcomes:
             if one.scene == scene:
                 figures = (one.single_m, one.mean_m, one.error_m, one.median_error_m)
-                cells = " | ".join(f"{1000 * value:.3f}" for value in figures)
+                cells = " | ".join(f"{1000 * value:.3f}" if value == value else "none" for value in figures)
                 lines.append(f"| {one.stage} | {cells} | {100 * one.supported:.1f} % |")
         lines.append("")
     text = PAGE.read_text(encoding="utf-8")
