@@ -31,6 +31,9 @@ $(VENV)/ready: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[dev]"
+	# PyGObject, for the driver gige, is built from source; without its headers that driver says what it lacks.
+	! pkg-config --exists gobject-introspection-1.0 cairo 2>/dev/null || \
+		$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[gige]" || echo "gige: PyGObject was not built"
 	touch $@
 
 clean:
