@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import re
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,14 +63,55 @@ def check_board(board: Board) -> None:
         _check_markers(board)
 
 
-def _check_markers(board: Board) -> None:
+def marker_dictionary(name: str) -> Any:
+    """OpenCV's dictionary of a name such as ``DICT_4X4_50``, or of one marker's own bits.
+
+    Parameters
+    ----------
+    name
+        Name, or rows of bits of the one marker as one reads them, e.g. ``011/110/010``; 1 is light.
+
+    Raises
+    ------
+    CalibrationError
+        It is neither.
+    """
     import cv2
 
-    if not hasattr(cv2.aruco, board.dictionary) or not board.dictionary.startswith("DICT_"):
+    if re.fullmatch(r"DICT_\w+", name) and hasattr(cv2.aruco, name):
+        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    rows = name.split("/")
+    if not 3 <= len(rows) <= 8 or not all(re.fullmatch(f"[01]{{{len(rows)}}}", row) for row in rows):
         raise CalibrationError(
-            f"there is no dictionary of markers '{board.dictionary}'",
-            remedy="Give the name of an OpenCV dictionary, such as DICT_4X4_50.",
+            f"there is no dictionary of markers '{name}'",
+            remedy="Give the name of an OpenCV dictionary, such as DICT_4X4_50, or the rows of bits of the "
+            "one marker, such as 011/110/010.",
         )
+    bits = np.array([[int(bit) for bit in row] for row in rows], np.uint8)
+    if any(np.array_equal(np.rot90(bits, turns), bits) for turns in (1, 2)):
+        raise CalibrationError(f"the marker {name} looks the same after a turn", remedy="Use another marker.")
+    return cv2.aruco.Dictionary(cv2.aruco.Dictionary.getByteListFromBits(bits), len(rows), 0)
+
+
+def hidden_by_marker(board: Board) -> NDArray[np.bool_]:
+    """Inner corners of a ``marked`` board that its marker replaces: (rows, columns) bool.
+
+    The marker stands in the middle of the smallest block of whole squares that holds it; neither the
+    corners inside that block nor those on its border are crossings of squares.
+    """
+    hidden = np.zeros((board.rows, board.columns), bool)
+    slices = []
+    for count in (board.rows, board.columns):
+        block = math.ceil(board.marker_m / board.square_m)
+        block += (count + 1 - block) % 2
+        first = (count + 1 - block) // 2 - 1
+        slices.append(slice(first, first + block + 1))
+    hidden[tuple(slices)] = True
+    return hidden
+
+
+def _check_markers(board: Board) -> None:
+    marker_dictionary(board.dictionary)
     limit_m = board.square_m * (1 if board.kind is BoardKind.CHARUCO else min(board.columns, board.rows) - 3)
     if not (np.isfinite(board.marker_m) and 0 < board.marker_m < limit_m):
         raise CalibrationError(
