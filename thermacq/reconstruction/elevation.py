@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermacq.errors import ReconstructionError
+from thermacq.reconstruction.cell_uncertainty import cell_uncertainty_m
 from thermacq.reconstruction.gridding import Grid, GriddedSurface, grid_over, grid_points
 from thermacq.reconstruction.matching import MatchingJob, PairReader, make_matcher
 from thermacq.reconstruction.mean_surface import points_of
@@ -181,8 +182,9 @@ def _common_view(source: Source, world: WorldFrame) -> tuple[NDArray[np.float64]
 def _write(job: PartsJob, output: Path, source: Source, world: WorldFrame, grid: Grid) -> float:
     """Put the parts together; returns the share of supported cells among those ever supported."""
     supported = np.zeros(grid.shape, np.int64)
+    uncertainty_m = cell_uncertainty_m(world, grid)
     with ProductWriter(
-        output, grid, source.pairs.time_s, _attributes(source, world), source.header
+        output, grid, source.pairs.time_s, _attributes(source, world), source.header, uncertainty_m
     ) as product:
         for part in read_parts(job):
             product.append(part["eta"], part["eta_points"], part["eta_sd"])

@@ -8,20 +8,33 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermacq.errors import ReconstructionError, StoreError
 from thermacq.reconstruction.gridding import Grid
-from thermacq.store import RunHeader
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _FRAMES_PER_CHUNK = 16
 _VARIABLES = ("eta", "eta_points", "eta_sd")
+
+
+class Recording(Protocol):
+    """What a product tells of its recording beside its attributes; a `RunHeader` is one."""
+
+    @property
+    def title(self) -> str:
+        """Free text."""
+        ...
+
+    @property
+    def wall_anchor_ns(self) -> int:
+        """Unix time of the zero of the recording's seconds."""
+        ...
 
 
 class ProductWriter:
@@ -39,6 +52,8 @@ class ProductWriter:
         Provenance; values that are no text or number are stored as JSON.
     header
         Header of the run, for title and time of start.
+    uncertainty_m
+        (ny, nx) standard uncertainty of a cell in one frame; None: not known.
     """
 
     def __init__(
@@ -47,7 +62,8 @@ class ProductWriter:
         grid: Grid,
         time_s: NDArray[np.float64],
         attributes: Mapping[str, Any],
-        header: RunHeader,
+        header: Recording,
+        uncertainty_m: NDArray[np.float32] | None = None,
     ) -> None:
         import h5netcdf
 
@@ -68,6 +84,10 @@ class ProductWriter:
         self._coordinate("y", grid.y_m, units="m", axis="Y", long_name="across the flume")
         self._coordinate("x", grid.x_m, units="m", axis="X", long_name="along the flume")
         self._surface_variables(grid, time_s.size)
+        if uncertainty_m is not None:
+            variable = self._file.create_variable("eta_u", ("y", "x"), data=uncertainty_m)
+            variable.attrs["long_name"] = "standard uncertainty of eta in one frame, by matching"
+            variable.attrs["units"] = "m"
         self._file.attrs["Conventions"] = "CF-1.11"
         self._file.attrs["title"] = header.title or "water surface elevation"
         self._file.attrs["source"] = "thermal stereography"
