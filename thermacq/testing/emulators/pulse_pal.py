@@ -47,7 +47,7 @@ _TIMES = ["phase1", "interphase", "phase2", "interpulse", "burst", "interburst",
 
 
 class PulsePalEmulation(EmulatorSettings):
-    """Settings of the emulated box; `faults` strike its answers, `pulse_faults` its pulses.
+    """Settings of the emulated box: `faults` strike its answers, `pulse_faults` the pulses of its first line.
 
     Pulses know the faults ``drop``, ``duplicate`` (again after `seconds`), ``slow`` (late by `seconds`) and
     ``disconnect``.
@@ -113,7 +113,7 @@ class PulsePalBox:
         self._lines = [LineWriter(emulation.runtime_dir, name) if name else None for name in settings.lines]
         self._lines += [None] * (_CHANNELS - len(self._lines))
         self._pulses = 0
-        self._last_ns = -1
+        self._last_ns = [-1] * _CHANNELS
         self.port: PtyPort | None = None
         self.outputs: list[Output] = []
         self.power_up()
@@ -243,17 +243,17 @@ class PulsePalBox:
                 output.pulse += 1
                 line = self._lines[channel]
                 if line is not None and output.seen():
-                    self._emit(line, due_ns)
+                    self._emit(channel, line, due_ns)
 
     def _is_far_ahead(self, channel: int) -> bool:
         """In virtual time the box waits when its slowest follower is many pulses behind."""
         line = self._lines[channel]
         return self._host.is_virtual and line is not None and line.lead() >= _LARGEST_LEAD
 
-    def _emit(self, line: LineWriter, due_ns: int) -> None:
+    def _emit(self, channel: int, line: LineWriter, due_ns: int) -> None:
         """Put a pulse on the wire, as the faults leave it; times on a line never go back."""
         times = [due_ns]
-        for fault in self._faults.strike(self._pulses):
+        for fault in self._strike(channel):
             if fault.kind is FaultKind.DROP:
                 times = []
             elif fault.kind is FaultKind.DUPLICATE:
@@ -264,10 +264,15 @@ class PulsePalBox:
                 self.port.unplug(fault.seconds)
                 self._abort()
                 times = []
-        self._pulses += 1
         for time_ns in times:
-            self._last_ns = max(time_ns, self._last_ns + 1)
-            line.emit(self._last_ns)
+            self._last_ns[channel] = max(time_ns, self._last_ns[channel] + 1)
+            line.emit(self._last_ns[channel])
+
+    def _strike(self, channel: int) -> list[FaultSettings]:
+        if any(self._lines[:channel]):
+            return []
+        self._pulses += 1
+        return self._faults.strike(self._pulses - 1)
 
 
 def _value_bytes(parameter: int) -> int:
