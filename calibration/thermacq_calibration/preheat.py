@@ -13,21 +13,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thermacq_calibration.errors import CalibrationError
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-
-_BESIDE = 6
-# Samples before and after a step whose means tell it.
-_FEWEST = 4 * _BESIDE
-# Samples in a window; and the part of it that they must span.
-_COVERED = 0.9
-_FEWEST_CLOSURES = 3
-_STEP_SIGMAS = 6.0
-_MAD_TO_SIGMA = 1.4826
+from thermacq_calibration.warm_up import Rate, WarmUp, fpa_rate, open_rate, shutter_rate
 
 
 class Grade(StrEnum):
@@ -55,60 +43,6 @@ class PreheatLimits:
             raise CalibrationError(
                 "the window of the preheat monitor must be above 0, its minimum time not below"
             )
-
-
-@dataclass(frozen=True, eq=False)
-class WarmUp:
-    """What was seen of a camera while it warmed up; all arrays are (samples,), in order of time.
-
-    Parameters
-    ----------
-    time_s
-        Since the recording began.
-    fpa_temperature_k
-        Temperature of focal plane or housing; NaN where unknown.
-    level_counts
-        Mean level of the picture.
-    closed
-        Whether the shutter was closed.
-    frozen
-        Whether pictures of a closed shutter are the last one before it, repeated, as of cameras that correct
-        their offsets by themselves; else they show the shutter.
-    has_shutter
-        Whether the camera has a shutter at all.
-    """
-
-    time_s: Floats
-    fpa_temperature_k: Floats
-    level_counts: Floats
-    closed: Flags
-    frozen: bool = True
-    has_shutter: bool = True
-
-    def until(self, time_s: float) -> WarmUp:
-        """What was seen up to a time."""
-        count = int(np.searchsorted(self.time_s, time_s, side="right"))
-        return WarmUp(
-            self.time_s[:count],
-            self.fpa_temperature_k[:count],
-            self.level_counts[:count],
-            self.closed[:count],
-            self.frozen,
-            self.has_shutter,
-        )
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A slope with its standard error, per second."""
-
-    slope: float
-    standard_error: float
-
-    @property
-    def bound(self) -> float:
-        """Magnitude and two standard errors."""
-        return abs(self.slope) + 2 * self.standard_error
 
 
 @dataclass(frozen=True)
@@ -218,15 +152,15 @@ def preheat_history(
     """Judge a camera as it was every `every_s` seconds, and at the end."""
     _check(seen, counts_per_kelvin)
     first, last = float(seen.time_s[0]), float(seen.time_s[-1])
-    times = [*np.arange(first + every_s, last, every_s).tolist(), last]
-    return [judge_preheat(seen.until(time_s), counts_per_kelvin, limits) for time_s in times]
+    times_s = [*np.arange(first + every_s, last, every_s).tolist(), last]
+    return [judge_preheat(seen.until(time_s), counts_per_kelvin, limits) for time_s in times_s]
 
 
 def _fpa(seen: WarmUp, limits: PreheatLimits) -> Criterion:
     limit, excellent = limits.fpa_k_per_min, limits.fpa_excellent_k_per_min
     if np.isnan(seen.fpa_temperature_k).all():
         return _unknown("fpa", limit, excellent, "the camera does not tell its temperature")
-    return _judge_rate("fpa", lambda part: _fpa_rate(part, limits.window_s), seen, limits, limit, excellent)
+    return _judge_rate("fpa", lambda part: fpa_rate(part, limits.window_s), seen, limits, limit, excellent)
 
 
 def _drift(seen: WarmUp, counts_per_kelvin: float | None, limits: PreheatLimits) -> Criterion:
@@ -236,7 +170,7 @@ def _drift(seen: WarmUp, counts_per_kelvin: float | None, limits: PreheatLimits)
     if counts_per_kelvin is None:
         return _unknown("drift", limit, excellent, "the counts per kelvin are not known")
     shows_shutter = bool(seen.closed.any()) and not seen.frozen
-    find = _shutter_rate if shows_shutter else _open_rate
+    find = shutter_rate if shows_shutter else open_rate
 
     def rate(part: WarmUp) -> Rate | None:
         found = find(part, limits.window_s)
@@ -279,96 +213,6 @@ def _time_to(limit: float, now: Rate, before: Rate | None, apart_s: float) -> fl
         return math.nan
     time_constant_s = apart_s / math.log(before.slope / now.slope)
     return time_constant_s * max(0.0, math.log(abs(now.slope) / wanted))
-
-
-def _fpa_rate(seen: WarmUp, window_s: float) -> Rate | None:
-    """Slope of the temperature over the last window."""
-    known = np.isfinite(seen.fpa_temperature_k)
-    time_s, temperature_k = seen.time_s[known], seen.fpa_temperature_k[known]
-    if not time_s.size:
-        return None
-    # A reading in steps is uncertain by its rounding at both ends of the window, noise or not.
-    steps_k = np.abs(np.diff(temperature_k))
-    rounding_k = float(steps_k[steps_k > 0].min()) / math.sqrt(6) if steps_k.any() else 0.0
-    recent = time_s >= time_s[-1] - window_s
-    time_s, temperature_k = time_s[recent], temperature_k[recent]
-    if not _covers(time_s, window_s):
-        return None
-    found = _line([time_s], [temperature_k])
-    return found and Rate(found.slope, math.hypot(found.standard_error, rounding_k / window_s))
-
-
-def _open_rate(seen: WarmUp, window_s: float) -> Rate | None:
-    """Common slope of the level between shutter corrections, over the last window.
-
-    A correction shows as pictures of the closed shutter, or as a step where the frame rate was too low to
-    catch one.
-    """
-    cut = np.concatenate([[False], seen.closed[:-1]])
-    # The number of a sample's piece grows with each closed picture before it.
-    piece = np.cumsum(cut)[~seen.closed]
-    time_s, level = seen.time_s[~seen.closed], seen.level_counts[~seen.closed]
-    if not time_s.size:
-        return None
-    recent = time_s >= seen.time_s[-1] - window_s
-    time_s, level, piece = time_s[recent], level[recent], piece[recent]
-    if not _covers(time_s, window_s):
-        return None
-    piece = piece + np.cumsum(_steps(level))
-    # Nearer to the ends a step would not have been found.
-    time_s, level, piece = (values[_BESIDE:-_BESIDE] for values in (time_s, level, piece))
-    pieces = [piece == number for number in np.unique(piece)]
-    return _line([time_s[part] for part in pieces], [level[part] for part in pieces])
-
-
-def _steps(level: Floats) -> Flags:
-    """Where a level jumps, by the means of the samples before and after: (samples,) bool, True at the first after."""
-    from scipy.ndimage import maximum_filter1d
-
-    sums = np.concatenate([[0.0], np.cumsum(level - level[0])])
-    means = (sums[_BESIDE:] - sums[:-_BESIDE]) / _BESIDE
-    jump = means[_BESIDE:] - means[:-_BESIDE]
-    from_usual = np.abs(jump - np.median(jump))
-    highest = from_usual == maximum_filter1d(from_usual, 2 * _BESIDE - 1)
-    found = np.zeros(len(level), np.bool_)
-    found[_BESIDE : len(level) - _BESIDE + 1] = highest & (
-        from_usual > _STEP_SIGMAS * _MAD_TO_SIGMA * float(np.median(from_usual))
-    )
-    return found
-
-
-def _shutter_rate(seen: WarmUp, window_s: float) -> Rate | None:
-    """Slope of the level of the shutter through its closures of the last window, at least three."""
-    begins = seen.closed & ~np.concatenate([[False], seen.closed[:-1]])
-    number = np.cumsum(begins)[seen.closed]
-    if not number.size or number[-1] < _FEWEST_CLOSURES:
-        return None
-    count = np.bincount(number)[1:]
-    time_s, level = (
-        np.bincount(number, weights=values[seen.closed])[1:] / count
-        for values in (seen.time_s, seen.level_counts)
-    )
-    used = max(_FEWEST_CLOSURES, int(np.sum(time_s >= seen.time_s[-1] - window_s)))
-    return _line([time_s[-used:]], [level[-used:]])
-
-
-def _covers(time_s: Floats, window_s: float) -> bool:
-    return len(time_s) >= _FEWEST and bool(time_s[-1] - time_s[0] >= _COVERED * window_s)
-
-
-def _line(times_s: list[Floats], values: list[Floats]) -> Rate | None:
-    """Least-squares slope common to pieces that have an own offset each; None when there is too little."""
-    freedom = sum(len(time_s) for time_s in times_s) - len(times_s) - 1
-    if freedom < 1:
-        return None
-    t = np.concatenate([time_s - time_s.mean() for time_s in times_s])
-    y = np.concatenate([value - value.mean() for value in values])
-    spread = float(t @ t)
-    if spread <= 0:
-        return None
-    slope = float(t @ y) / spread
-    left = y - slope * t
-    return Rate(slope, math.sqrt(float(left @ left) / freedom / spread))
 
 
 def _unknown(name: str, limit: float, excellent: float, why: str) -> Criterion:

@@ -46,8 +46,14 @@ def preheat(
         typer.Option("--correction", help="Correction file of a camera, for its scale; repeatable."),
     ] = None,
     rate_hz: Annotated[
-        float, typer.Option("--rate-hz", min=0.05, max=100, help="Frames per second to record.")
-    ] = 0.5,
+        float,
+        typer.Option(
+            "--rate-hz",
+            min=0.1,
+            max=100,
+            help="Frames per second to record; below 2 the shutter may be missed.",
+        ),
+    ] = 2.0,
     scene: Annotated[
         Path | None, typer.Option("--scene", help="TOML file whose keys replace those of [scene].")
     ] = None,

@@ -18,15 +18,17 @@ from thermacq_calibration.preheat import (
     Grade,
     Preheat,
     PreheatLimits,
-    WarmUp,
     judge_preheat,
 )
+from thermacq_calibration.warm_up import WarmUp
 
 OVERRIDE = "preheat override"
 """Beginning of the event that tells why somebody went on without a go."""
 
 _SAMPLE_S = 0.9
 # Pictures of a fast recording are looked at about once a second; drift is slow.
+_SHORT_CLOSING_S = 0.5
+# Frames farther apart may miss the shutter of a camera that corrects itself.
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,7 @@ class _Samples:
     def __init__(self, has_shutter: bool) -> None:
         self._has_shutter = has_shutter
         self._rows = 0
+        self._interval_s = 0.0
         self._last = (-math.inf, False)
         self._taken: list[tuple[float, float, float, bool]] = []
         self._repeated = 0
@@ -211,12 +214,22 @@ class _Samples:
             self._taken.append((float(time_s[row]), float(table.fpa_temperature_k[row]), level, is_closed))
             self._last = float(time_s[row]), is_closed
         self._rows = len(table)
+        self._interval_s = float(np.median(np.diff(time_s))) if len(table) > 1 else 0.0
 
     def warm_up(self) -> WarmUp:
         values = np.array(self._taken, np.float64).reshape(-1, 4)
         # A camera that corrects itself repeats its last picture meanwhile; noise never repeats itself.
         frozen = 2 * self._repeated >= self._closed
-        return WarmUp(values[:, 0], values[:, 1], values[:, 2], values[:, 3] > 0, frozen, self._has_shutter)
+        is_sparse = self._interval_s > _SHORT_CLOSING_S
+        return WarmUp(
+            values[:, 0],
+            values[:, 1],
+            values[:, 2],
+            values[:, 3] > 0,
+            frozen,
+            self._has_shutter,
+            is_sparse,
+        )
 
 
 def override_of(run: RunFile) -> str:
