@@ -3,6 +3,7 @@
 from thermacq_calibration.boards import board_points, check_board
 from thermacq_calibration.correction import BadPixel, CameraCorrection, load_correction
 from thermacq_calibration.corrector import Corrector
+from thermacq_calibration.detection import Detection, NoBoard
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.judgement import findings
 from thermacq_calibration.models import Board, BoardKind, CameraModel, ViewReport
@@ -23,8 +24,6 @@ from thermacq_calibration.shading import with_shading
 from thermacq_calibration.stereo import View, calibrate_stereo
 from thermacq_calibration.targets import (
     FRAMES_TO_AVERAGE,
-    Detection,
-    NoBoard,
     average,
     detect_board,
 )
