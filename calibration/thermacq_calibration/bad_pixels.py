@@ -58,8 +58,10 @@ def blinking_pixels(view: ReferenceView) -> Mask:
 def outlying_pixels(corrected: Picture, known: Mask) -> Mask:
     """Pixels that differ from the median of the 5 x 5 around by more than six MAD of such differences.
 
-    The MAD is that of the wider surroundings, by way of their clipped mean deviation: noise and residual
-    curvature differ between the middle and the corners of a picture, where the lens lets less through.
+    What a whole row or column has in common is no fault of its pixels and taken out. The MAD is that of the
+    wider surroundings, by way of their clipped mean deviation: noise and residual curvature differ between
+    the middle and the corners of a picture, where the lens lets less through. Of good pixels with normal
+    noise about one in 10000 lies beyond the limit.
 
     Parameters
     ----------
@@ -71,7 +73,8 @@ def outlying_pixels(corrected: Picture, known: Mask) -> Mask:
     import cv2
 
     difference = corrected - cv2.medianBlur(corrected, 5)
-    difference -= np.median(difference[known == 0])
+    difference -= np.median(difference, axis=0)
+    difference -= np.median(difference, axis=1, keepdims=True)
     deviation = np.abs(difference)
     clipped = np.minimum(deviation, _CLIP_MAD * np.median(deviation[known == 0]))
     width = min(_SURROUNDINGS_PX, *corrected.shape)
