@@ -280,3 +280,20 @@ def test_a_message_without_text_still_names_file_and_place():
     assert explain(caught.value, Rig, "run.h5") == (
         "run.h5: unknown key 'cameras.left.serail'; did you mean 'serial'?"
     )
+
+
+def test_correction_files_are_relative_to_the_rig_file(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        '[cameras.left]\ndriver = "test-pattern"\n'
+        '[correction]\nshading = false\nfiles = { left = "irt/left.correction.h5" }\n'
+    )
+    table = load_rig(path).correction
+    assert table.files == {"left": str(tmp_path / "irt" / "left.correction.h5")}
+    assert not table.shading
+    assert table.nonuniformity
+
+
+def test_a_correction_of_no_camera_is_refused():
+    text = '[cameras.left]\ndriver = "x"\n[correction.files]\nrihgt = "a.correction.h5"\n'
+    assert "line 4: correction.files.rihgt: there is no camera 'rihgt'" in refused(text)
