@@ -23,21 +23,21 @@ if TYPE_CHECKING:
 
     from thermacq.evaluation import Comparison, Flatness
 
-_INK = "#010203"
+INK = "#010203"
 # Okabe and Ito's colours, distinguishable with every kind of colour vision.
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#888888"
 # Colour of cells and pixels that hold no value; in none of the colour maps.
-_NOTHING = "#B5B5B5"
+NOTHING = "#B5B5B5"
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "thermacq",
     "font.family": "sans-serif",
     "font.size": 10.0,
-    "text.color": _INK,
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
+    "text.color": INK,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "grid.color": GREY,
@@ -55,7 +55,7 @@ _HISTORY_PERIODS = 12
 
 def time_histories(comparisons: Sequence[Comparison]) -> str:
     """Elevation against time of every pair of series, one panel each, and their difference below."""
-    with _drawing(9.5, 2.9 * len(comparisons), rows=len(comparisons)) as (figure, axes):
+    with drawing(9.5, 2.9 * len(comparisons), rows=len(comparisons)) as (figure, axes):
         for axis, comparison in zip(axes, comparisons, strict=True):
             shown = np.flatnonzero(comparison.time_s <= _until(comparison))[:_MAX_LINE_POINTS]
             time = comparison.time_s[shown]
@@ -67,7 +67,7 @@ def time_histories(comparisons: Sequence[Comparison]) -> str:
             axis.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.14))
             axis.margins(x=0.01)
         axes[-1].set_xlabel("time since the start of the recording (s)")
-        return _svg(figure, "history")
+        return svg(figure, "history")
 
 
 def is_cut(comparison: Comparison) -> bool:
@@ -81,9 +81,9 @@ def scatter(comparison: Comparison) -> str:
     reach = 1.08 * float(np.max(np.abs([reference, measured])))
     line = np.array([-reach, reach])
     found = comparison.agreement
-    with _drawing(4.6, 4.2) as (figure, (axis,)):
+    with drawing(4.6, 4.2) as (figure, (axis,)):
         axis.plot(reference, measured, ".", color=BLUE, markersize=3, alpha=0.5, rasterized=True)
-        axis.plot(line, line, "--", color=_INK, linewidth=1, label="y = x")
+        axis.plot(line, line, "--", color=INK, linewidth=1, label="y = x")
         fit = found.slope * line + 1000 * found.intercept_m
         axis.plot(line, fit, color=ORANGE, linewidth=1.6, label=f"fit, slope {found.slope:.4f}")
         axis.set(
@@ -94,21 +94,21 @@ def scatter(comparison: Comparison) -> str:
             aspect="equal",
         )
         axis.legend(loc="upper left")
-        return _svg(figure, "scatter")
+        return svg(figure, "scatter")
 
 
 def differences(comparison: Comparison) -> str:
     """Difference against mean of each pair with bias and limits of agreement (Bland and Altman)."""
     reference, measured = _pairs_mm(comparison)
     found = comparison.agreement
-    with _drawing(4.6, 4.2) as (figure, (axis,)):
+    with drawing(4.6, 4.2) as (figure, (axis,)):
         mean, difference = (reference + measured) / 2, measured - reference
         axis.plot(mean, difference, ".", color=BLUE, markersize=3, alpha=0.5, rasterized=True)
         axis.axhline(1000 * found.bias_m, color=ORANGE, linewidth=1.6)
         for limit in found.limits_m:
             axis.axhline(1000 * limit, color=ORANGE, linewidth=1.2, linestyle="--")
         axis.set(xlabel="mean of both (mm)", ylabel="difference (mm)")
-        return _svg(figure, "differences")
+        return svg(figure, "differences")
 
 
 def surface_3d(surface: Surface) -> str:
@@ -145,7 +145,7 @@ def surface_3d(surface: Surface) -> str:
 
 def elevation_map(surface: Surface, places: Sequence[Place] = ()) -> str:
     """Plan view of one frame with numbered places."""
-    with _drawing(5.6, 4.2, grid=False) as (figure, (axis,)):
+    with drawing(5.6, 4.2, grid=False) as (figure, (axis,)):
         reach = _reach(1000 * surface.eta_m)
         _map(
             figure,
@@ -164,25 +164,25 @@ def elevation_map(surface: Surface, places: Sequence[Place] = ()) -> str:
             axis.annotate(
                 str(number), (place.x_m, place.y_m), (6, 4), textcoords="offset points", clip_on=False
             )
-        return _svg(figure, "map")
+        return svg(figure, "map")
 
 
 def flatness_maps(flat: Flatness) -> str:
     """Mean deviation of still water from the world plane, and its spread over time (paper, Fig. 11)."""
-    with _drawing(9.5, 3.8, columns=2, grid=False) as (figure, (left, right)):
+    with drawing(9.5, 3.8, columns=2, grid=False) as (figure, (left, right)):
         deviation, spread = 1000 * flat.mean_deviation_m, 1000 * flat.cell_sd_m
         reach = _reach(deviation)
         _map(figure, left, flat.x_m, flat.y_m, deviation, "mean deviation (mm)", "RdBu_r", (-reach, reach))
         top = float(np.nanpercentile(spread, 99)) if np.isfinite(spread).any() else 1.0
         _map(figure, right, flat.x_m, flat.y_m, spread, "standard deviation (mm)", "cividis", (0.0, top))
-        return _svg(figure, "flat")
+        return svg(figure, "flat")
 
 
 def disparity_map(disparity: Picture) -> str:
     """Disparity of the left rectified picture; grey where there is none."""
-    with _drawing(5.6, 4.4, grid=False) as (figure, (axis,)):
+    with drawing(5.6, 4.4, grid=False) as (figure, (axis,)):
         low, high = np.nanpercentile(disparity, [1, 99])
-        axis.set_facecolor(_NOTHING)
+        axis.set_facecolor(NOTHING)
         drawn = axis.imshow(
             _thinned(disparity),
             cmap="cividis",
@@ -193,13 +193,13 @@ def disparity_map(disparity: Picture) -> str:
         )
         axis.set(xlabel="column (px)", ylabel="row (px)")
         figure.colorbar(drawn, ax=axis, label="disparity (px)", shrink=0.85)
-        return _svg(figure, "disparity")
+        return svg(figure, "disparity")
 
 
 def quantisation_plot(quantisation: Quantisation) -> str:
     """Largest quantisation error against distance (paper, Fig. 16)."""
     curve = quantisation.curve
-    with _drawing(6.4, 3.6) as (figure, (axis,)):
+    with drawing(6.4, 3.6) as (figure, (axis,)):
         axis.plot(
             curve.distance_m, 1000 * curve.depth_error_m, color=BLUE, label="camera frame, $e_z$ (eq. 5)"
         )
@@ -215,7 +215,7 @@ def quantisation_plot(quantisation: Quantisation) -> str:
             xlabel="distance along the optical axis (m)", ylabel="error for one pixel (mm)", ylim=(0, None)
         )
         axis.legend(loc="upper left")
-        return _svg(figure, "quantisation")
+        return svg(figure, "quantisation")
 
 
 def picture(counts: Picture) -> str:
@@ -231,10 +231,10 @@ def picture(counts: Picture) -> str:
 
 
 @contextmanager
-def _drawing(
+def drawing(
     width_in: float, height_in: float, *, rows: int = 1, columns: int = 1, grid: bool = True
 ) -> Iterator[tuple[Figure, list[Axes]]]:
-    """A figure and its axes; it must be saved inside, while the style is in force."""
+    """A figure and its axes in the style of the pages; it must be saved inside, while the style is in force."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -253,7 +253,7 @@ def _map(
     colours: str,
     limits: tuple[float, float],
 ) -> None:
-    axis.set_facecolor(_NOTHING)
+    axis.set_facecolor(NOTHING)
     half_x, half_y = _half_step(x_m), _half_step(y_m)
     extent = (x_m[0] - half_x, x_m[-1] + half_x, y_m[0] - half_y, y_m[-1] + half_y)
     drawn = axis.imshow(
@@ -308,7 +308,7 @@ def role(name: str) -> str:
     return "series"
 
 
-def _svg(figure: Figure, prefix: str) -> str:
+def svg(figure: Figure, prefix: str) -> str:
     """The drawing as an ``svg`` element: no prolog, no metadata, names of its own, the page's text colour."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", dpi=110)
@@ -320,7 +320,7 @@ def _svg(figure: Figure, prefix: str) -> str:
     text = re.sub(r'\bid="', f'id="{prefix}-', text)
     text = re.sub(r'xlink:href="#', f'href="#{prefix}-', text)
     text = text.replace("xlink:href=", "href=").replace("url(#", f"url(#{prefix}-")
-    return text.replace(_INK, "currentColor")
+    return text.replace(INK, "currentColor")
 
 
 def _png(figure: Figure) -> str:
