@@ -16,10 +16,23 @@ if TYPE_CHECKING:
 @hookimpl
 def thermacq_drivers() -> Sequence[Driver]:
     """Built-in drivers."""
-    from thermacq_drivers import gige, pulse_pal, testpattern
+    from thermacq_drivers import (
+        gige,
+        modbus_level,
+        pulse_pal,
+        serial_ascii,
+        testpattern,
+    )
     from thermacq_drivers.simflume.drivers import DRIVERS
 
-    return (testpattern.DRIVER, gige.DRIVER, pulse_pal.DRIVER, *DRIVERS)
+    modules = (
+        gige,
+        modbus_level,
+        pulse_pal,
+        serial_ascii,
+        testpattern,
+    )
+    return (*(module.DRIVER for module in modules), *DRIVERS)
 
 
 @hookimpl

@@ -10,6 +10,15 @@ from thermacq.hooks import Emulator, hookimpl
 @hookimpl
 def thermacq_emulators() -> Sequence[Emulator]:
     """Built-in emulators."""
-    from thermacq.testing.emulators import pulse_pal
+    from thermacq.testing.emulators import (
+        modbus_level,
+        pulse_pal,
+        serial_ascii,
+    )
 
-    return (pulse_pal.EMULATOR,)
+    modules = (
+        modbus_level,
+        pulse_pal,
+        serial_ascii,
+    )
+    return tuple(module.EMULATOR for module in modules)
