@@ -11,7 +11,14 @@ from thermacq import plugins as plugin_module
 from thermacq.devices import FrameFlag
 from thermacq.errors import CorrectionError, PluginError
 from thermacq.hooks import CorrectionStage
-from thermacq.imaging import NO_CORRECTIONS, CorrectedPictures, Corrections, Stage, corrections_of
+from thermacq.imaging import (
+    NO_CORRECTIONS,
+    CorrectedPictures,
+    Corrections,
+    Stage,
+    corrections_of,
+    doubts,
+)
 from thermacq.store import open_run
 from thermacq_calibration import CameraCorrection, Corrector
 
@@ -168,3 +175,24 @@ def test_unknown_stages_and_settings_are_refused(write_run, stage):
         path = write_run(295.0, frames=1, correction={"stages": [table]})
         with open_run(path) as run, pytest.raises(error):
             corrections_of(run)
+
+
+def test_what_makes_a_correction_doubtful_is_told(write_run, both):
+    kept = {name: replace(one, fpa_temperature_k=305.0) for name, one in both.items()}
+    names = ("left", "right")
+    with open_run(write_run(295.0, frames=4, corrections=kept, inside_k=305.3)) as run:
+        assert doubts(run, names, corrections_of(run)) == ()
+    half = {"left": kept["left"]}
+    path = write_run(
+        295.0,
+        frames=9,
+        corrections=half,
+        inside_k=302.0,
+        flags=lambda index: FrameFlag.SHUTTER if index in (0, 4, 5) else FrameFlag.NONE,
+    )
+    with open_run(path) as run:
+        one_sided, shutter, colder = doubts(run, names, corrections_of(run))
+        assert "camera 'right' has no correction" in one_sided
+        assert "closed its shutter 2 times" in shutter
+        assert "-3.0 K" in colder
+        assert doubts(run, names, corrections_of(run, use=False)) == ()

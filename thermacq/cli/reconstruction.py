@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermacq.cli.common import EXIT_INTERRUPTED, err, out, print_json
+from thermacq.cli.common import EXIT_INTERRUPTED, err, out, print_json, warn
 
 if TYPE_CHECKING:
     from thermacq.reconstruction import MatchedPair, Source, WorldFrame
@@ -200,7 +200,7 @@ def _open(
     if correction and no_correction:
         raise typer.BadParameter("--correction and --no-correction contradict each other")
 
-    return open_source(
+    source = open_source(
         run,
         calibration=calibration,
         frames=frames,
@@ -210,6 +210,9 @@ def _open(
         correction_files=correction or [],
         correct=not no_correction,
     )
+    for doubt in source.doubts:
+        warn(doubt)
+    return source
 
 
 def _cores() -> int:

@@ -10,6 +10,15 @@ from thermacq.imaging.corrections import (
     Stage,
     check_fits,
     corrections_of,
+    doubts,
 )
 
-__all__ = ["NO_CORRECTIONS", "CorrectedPictures", "Corrections", "Stage", "check_fits", "corrections_of"]
+__all__ = [
+    "NO_CORRECTIONS",
+    "CorrectedPictures",
+    "Corrections",
+    "Stage",
+    "check_fits",
+    "corrections_of",
+    "doubts",
+]

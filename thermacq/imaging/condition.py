@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermacq.errors import CorrectionError
+from thermacq.imaging.corrections import LARGEST_WARMING_K
 from thermacq.imaging.making import view_of_camera
 from thermacq.imaging.references import Reference, middle_time
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 LARGEST_RESIDUAL_NETD = 0.5
 LARGEST_GROWTH_NETD = 0.5
-LARGEST_WARMING_K = 1.0
 _FEWEST_AGES = 4
 _YOUNGEST_S = 60.0
 """Growth within less time than this says nothing about a recording."""

@@ -26,6 +26,8 @@ from thermacq.store import RunFile
 if TYPE_CHECKING:
     from thermacq_calibration import CameraCorrection, Corrector
 
+LARGEST_WARMING_K = 1.0
+"""Change of the focal plane's temperature since the correction from which a user is warned."""
 _SPOILT = int(FrameFlag.INCOMPLETE | FrameFlag.SHUTTER)
 
 
@@ -140,6 +142,33 @@ def corrections_of(
         table.shading,
         tuple(_complete(stage["name"], stage.get("settings", {})) for stage in wanted),
     )
+
+
+def doubts(run: RunFile, cameras: Sequence[str], corrections: Corrections) -> tuple[str, ...]:
+    """What a user should know before trusting these corrections in the pictures of these cameras."""
+    found = []
+    corrected = [camera for camera in cameras if corrections.corrector(camera) is not None]
+    if corrected and len(corrected) < len(cameras):
+        missing = ", ".join(f"'{camera}'" for camera in cameras if camera not in corrected)
+        found.append(f"camera {missing} has no correction, the other one has")
+    for camera in corrected:
+        table, record = run.frames(camera), corrections.cameras[camera]
+        is_closed = (table.flags & int(FrameFlag.SHUTTER)) != 0
+        events = int(np.count_nonzero(is_closed[1:] & ~is_closed[:-1]) + is_closed[:1].sum())
+        if events and corrections.nonuniformity:
+            found.append(
+                f"camera '{camera}' closed its shutter {events} times: it may have changed its offsets, to which "
+                "the correction does not fit any more; switch automatic shutter corrections off for recordings"
+            )
+        inside_k = table.fpa_temperature_k[np.isfinite(table.fpa_temperature_k)]
+        if inside_k.size and record.fpa_temperature_k is not None:
+            warmer_k = float(inside_k.mean()) - record.fpa_temperature_k
+            if abs(warmer_k) > LARGEST_WARMING_K:
+                found.append(
+                    f"the focal plane of camera '{camera}' is {warmer_k:+.1f} K from where its correction was "
+                    "made: update the offsets by a uniform view (`thermacq correction update`)"
+                )
+    return tuple(found)
 
 
 def check_fits(run: RunFile, camera: str, correction: CameraCorrection) -> None:

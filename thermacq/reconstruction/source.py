@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from thermacq import __version__
-from thermacq.imaging import Corrections, corrections_of
+from thermacq.imaging import Corrections, corrections_of, doubts
 from thermacq.reconstruction.matching import MatchingJob, PairReader, complete_settings
 from thermacq.reconstruction.pairs import RunPairs, find_calibration, run_pairs, select_frames
 from thermacq.rig import Rig
@@ -20,7 +20,7 @@ from thermacq_calibration import Rectification, StereoCalibration
 
 @dataclass(frozen=True)
 class Source:
-    """A run ready to be matched; make it with `open_source`."""
+    """A run ready to be matched; make it with `open_source`. `doubts` are sentences for the user."""
 
     run_path: Path
     run_sha256: str
@@ -32,6 +32,7 @@ class Source:
     matcher: str
     settings: dict[str, Any]
     corrections: Corrections
+    doubts: tuple[str, ...] = ()
 
     def job(self, pairs: RunPairs) -> MatchingJob:
         """What worker processes need to match some of the pairs."""
@@ -109,6 +110,7 @@ def open_source(
         record = find_calibration(run, calibration, pair)
         pairs = select_frames(run_pairs(run, pair), frames)
         corrections = corrections_of(run, correction_files, use=correct)
+        doubtful = doubts(run, (pairs.left_camera, pairs.right_camera), corrections)
         header, run_sha256 = run.header, run.sha256()
     table = rig.reconstruction
     name = matcher or table.matcher
@@ -117,5 +119,5 @@ def open_source(
         complete = complete_settings(reader, len(pairs), name, wanted)
         rectification = reader.rectification
     return Source(
-        run_path, run_sha256, header, rig, record, rectification, pairs, name, complete, corrections
+        run_path, run_sha256, header, rig, record, rectification, pairs, name, complete, corrections, doubtful
     )
