@@ -24,6 +24,7 @@ from thermacq.cli import (
     recording,
     rig,
     store,
+    world,
 )
 from thermacq.cli.plugin_commands import GroupWithPlugins
 
@@ -53,6 +54,8 @@ app.command("preheat")(preheat.preheat)
 app.command("noise")(noise.noise)
 app.command("still-water")(reconstruction.still_water)
 app.command("reconstruct")(reconstruction.reconstruct)
+app.add_typer(world.app, name="world")
+app.command("fuse")(world.fuse)
 app.command("disparity")(reconstruction.disparity)
 app.command("waves")(evaluation.waves)
 app.command("compare")(evaluation.compare)

@@ -147,8 +147,8 @@ def fuse(first: Path, second: Path, output: Path) -> Fused:
     """
     check_new_file(output)
     with open_product(first) as one, open_product(second) as other:
-        _require_same_recording(one, other)
-        times = _common_times(one, other)
+        require_same_recording(one, other)
+        times = common_times(one, other)
         own = [_grid_of(dataset) for dataset in (one, other)]
         grid = _union(*own)
         parts = [
@@ -244,7 +244,7 @@ def _overlap(parts: list[_Part], frames: int) -> Overlap | None:
 
 def _doubts(one: xr.Dataset, other: xr.Dataset, overlap: Overlap | None) -> tuple[str, ...]:
     doubts = []
-    frames = [_world(dataset) for dataset in (one, other)]
+    frames = [world_of(dataset) for dataset in (one, other)]
     joined = any(
         a.source.get("joined", {}).get("to_calibration_sha256") == b.source.get("calibration_sha256")
         for a, b in (frames, frames[::-1])
@@ -264,7 +264,8 @@ def _doubts(one: xr.Dataset, other: xr.Dataset, overlap: Overlap | None) -> tupl
     return tuple(doubts)
 
 
-def _require_same_recording(one: xr.Dataset, other: xr.Dataset) -> None:
+def require_same_recording(one: xr.Dataset, other: xr.Dataset) -> None:
+    """Refuse products of different recordings, or of the same cameras; raises `ReconstructionError`."""
     runs = [dataset.attrs.get("run_id", "") for dataset in (one, other)]
     if runs[0] != runs[1] or not runs[0]:
         raise ReconstructionError(
@@ -278,8 +279,14 @@ def _require_same_recording(one: xr.Dataset, other: xr.Dataset) -> None:
         )
 
 
-def _common_times(one: xr.Dataset, other: xr.Dataset) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Frames of both that were taken at the same times."""
+def common_times(one: xr.Dataset, other: xr.Dataset) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the frames of both that were taken at the same times.
+
+    Raises
+    ------
+    ReconstructionError
+        They are fewer than half of the shorter product.
+    """
     first, second = (dataset["time"].to_numpy().astype(np.float64) for dataset in (one, other))
     step = float(np.median(np.diff(first))) if first.size > 1 else 1.0
     after = (
@@ -324,10 +331,11 @@ def _union(one: Grid, other: Grid) -> Grid:
 def _uncertainty(dataset: xr.Dataset, grid: Grid) -> NDArray[np.float32]:
     if "eta_u" in dataset.variables and dataset["eta_u"].dims == ("y", "x"):
         return dataset["eta_u"].to_numpy().astype(np.float32)
-    return cell_uncertainty_m(_world(dataset), grid)
+    return cell_uncertainty_m(world_of(dataset), grid)
 
 
-def _world(dataset: xr.Dataset) -> WorldFrame:
+def world_of(dataset: xr.Dataset) -> WorldFrame:
+    """World frame in which a product stands; raises `ReconstructionError` when it does not say."""
     try:
         values = json.loads(dataset.attrs["world_frame"])
     except (KeyError, TypeError, ValueError):

@@ -47,7 +47,10 @@ class WorldFrame:
     frames
         Number of pairs that were averaged.
     source
-        Where it came from: run and calibration hashes, matcher, and how (``still water`` or ``mean surface``).
+        Where it came from: run and calibration hashes, matcher, and how (``still water`` or ``mean surface``);
+        how the direction of X was found, or to which other frame this one was joined.
+    x_axis_u_deg
+        Standard uncertainty of the direction of X; None where the rig's ``[world]`` table set it.
     """
 
     rotation: NDArray[np.float64]
@@ -58,6 +61,7 @@ class WorldFrame:
     points: int
     frames: int
     source: dict[str, Any] = field(default_factory=dict)
+    x_axis_u_deg: float | None = None
 
     @property
     def camera_height_m(self) -> float:
@@ -97,6 +101,7 @@ class WorldFrame:
                 points=int(values["points"]),
                 frames=int(values["frames"]),
                 source=dict(values["source"]),
+                x_axis_u_deg=None if values.get("x_axis_u_deg") is None else float(values["x_axis_u_deg"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise ReconstructionError(
