@@ -29,19 +29,23 @@ class Grade(StrEnum):
 
 @dataclass(frozen=True)
 class PreheatLimits:
-    """Bars of the three criteria; a rate passes when its magnitude and two standard errors are below."""
+    """Bars of the three criteria; a rate passes when its magnitude and two standard errors are below.
+
+    The picture is judged over a longer window than the temperature: what it shows is seldom as steady.
+    """
 
     minimum_s: float = 1800.0
     window_s: float = 300.0
+    drift_window_s: float = 600.0
     fpa_k_per_min: float = 0.050
     fpa_excellent_k_per_min: float = 0.020
     drift_k_per_min: float = 0.010
     drift_excellent_k_per_min: float = 0.005
 
     def __post_init__(self) -> None:
-        if not (self.window_s > 0 and self.minimum_s >= 0):
+        if not (min(self.window_s, self.drift_window_s) > 0 and self.minimum_s >= 0):
             raise CalibrationError(
-                "the window of the preheat monitor must be above 0, its minimum time not below"
+                "the windows of the preheat monitor must be above 0, its minimum time not below"
             )
 
 
@@ -160,7 +164,9 @@ def _fpa(seen: WarmUp, limits: PreheatLimits) -> Criterion:
     limit, excellent = limits.fpa_k_per_min, limits.fpa_excellent_k_per_min
     if np.isnan(seen.fpa_temperature_k).all():
         return _unknown("fpa", limit, excellent, "the camera does not tell its temperature")
-    return _judge_rate("fpa", lambda part: fpa_rate(part, limits.window_s), seen, limits, limit, excellent)
+    return _judge_rate(
+        "fpa", lambda part: fpa_rate(part, limits.window_s), seen, limits.window_s, limit, excellent
+    )
 
 
 def _drift(seen: WarmUp, counts_per_kelvin: float | None, limits: PreheatLimits) -> Criterion:
@@ -173,19 +179,19 @@ def _drift(seen: WarmUp, counts_per_kelvin: float | None, limits: PreheatLimits)
     find = shutter_rate if shows_shutter else open_rate
 
     def rate(part: WarmUp) -> Rate | None:
-        found = find(part, limits.window_s)
+        found = find(part, limits.drift_window_s)
         scale = counts_per_kelvin
         return found and Rate(found.slope / scale, found.standard_error / scale)
 
     seen_on = "seen on the shutter" if shows_shutter else "seen on the view between shutter corrections"
-    return _judge_rate("drift", rate, seen, limits, limit, excellent, seen_on)
+    return _judge_rate("drift", rate, seen, limits.drift_window_s, limit, excellent, seen_on)
 
 
 def _judge_rate(
     name: str,
     rate: Callable[[WarmUp], Rate | None],
     seen: WarmUp,
-    limits: PreheatLimits,
+    window_s: float,
     limit: float,
     excellent: float,
     note: str = "",
@@ -199,8 +205,10 @@ def _judge_rate(
     grade = Grade.EXCELLENT if bound <= excellent else Grade.PASS if bound <= limit else Grade.FAIL
     ready_in_s = 0.0
     if grade is Grade.FAIL:
-        before = rate(seen.until(float(seen.time_s[-1]) - limits.window_s))
-        ready_in_s = _time_to(limit / 60, found, before, limits.window_s)
+        before = rate(seen.until(float(seen.time_s[-1]) - window_s / 2))
+        ready_in_s = _time_to(limit / 60, found, before, window_s / 2)
+        if 120 * found.standard_error > limit:
+            note = "too restless to judge: cover the lenses, or let the cameras look at something steady"
     return Criterion(
         name, 60 * found.slope, 60 * found.standard_error, limit, excellent, grade, ready_in_s, note
     )
