@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
+import tomllib
 from collections import deque
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from thermacq.devices import DeviceContext, FrameFlag, TriggerMode
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceOverrun, DeviceTimeout, IncompleteFrame
+from thermacq.rig import Rig
 from thermacq.timing.clock import RealClock
 from thermacq.transports import RealTransports
 from thermacq_drivers.gige import DRIVER
@@ -18,6 +22,7 @@ from thermacq_drivers.gige import camera as camera_module
 from thermacq_drivers.gige.aravis import FoundCamera, LinkError
 from thermacq_drivers.gige.camera import GigeCamera
 from thermacq_drivers.gige.link import Delivery
+from thermacq_drivers.gige.settings import GigeSettings
 
 COLUMNS, ROWS = 4, 3
 PIXELS = np.arange(COLUMNS * ROWS, dtype="<u2") * 1000
@@ -341,3 +346,12 @@ def test_without_aravis_nothing_is_found_and_the_remedy_is_told(monkeypatch):
         camera.open()
     assert "apt install" in fault.value.remedy
     camera.close()
+
+
+def test_the_rig_of_the_how_to_is_a_rig():
+    page = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "use-a-gige-camera.md"
+    first, features = re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)
+    rig = Rig.model_validate(tomllib.loads(first + features))
+    assert rig.cameras["left"].settings["features"] == {"NUCMode": "Manual", "GevSCPD": 2000}
+    for camera in rig.cameras.values():
+        GigeSettings.model_validate(camera.settings)
