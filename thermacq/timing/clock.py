@@ -91,10 +91,15 @@ class VirtualClock:
         self._speed = speed
         # Called with `stopping` before time passes: what is still under way in other threads ends first.
         self.holds: list[Callable[[Callable[[], bool]], None]] = []
+        # Called with the shift when time is set to 0: times kept from before are moved by it.
+        self.shifts: list[Callable[[int], None]] = []
+        self._now_ns = 0
         self.start()
 
     def start(self) -> None:
         """Set virtual time to 0; pacing by real time counts from here."""
+        for shift in tuple(self.shifts):
+            shift(-self._now_ns)
         self._now_ns = 0
         self._real_start_ns = time.perf_counter_ns()
 

@@ -119,6 +119,15 @@ def test_free_running_exposures_follow_a_clock_that_is_off():
     assert starts[-1] - starts[0] == pytest.approx(2 * NS_PER_S / 1.001, abs=2)
 
 
+def test_a_camera_goes_on_when_virtual_time_begins_anew():
+    clock = VirtualClock()
+    run = FreeRun(DeviceClock(clock), 10.0)
+    before = [run.next(1.0).start_ns for _ in range(5)]
+    clock.start()
+    assert before[-1] == 400_000_000
+    assert [run.next(1.0).start_ns for _ in range(2)] == [100_000_000, 200_000_000]
+
+
 def test_a_camera_that_waits_less_than_a_period_gets_nothing_yet():
     clock = VirtualClock()
     run = FreeRun(DeviceClock(clock), 10.0)

@@ -125,7 +125,10 @@ class FaultSchedule:
     def _is_due(self, fault: FaultSettings, item: int) -> bool:
         if fault.at >= 0:
             return item >= fault.at
-        return self._clock.now_ns() - self._start_ns >= fault.at_s * NS_PER_S
+        now_ns = self._clock.now_ns()
+        # Virtual time begins anew with the recording, and the count with it.
+        self._start_ns = min(self._start_ns, now_ns)
+        return now_ns - self._start_ns >= fault.at_s * NS_PER_S
 
     def _note(self, kind: FaultKind, item: int) -> None:
         self.injected[kind] += 1

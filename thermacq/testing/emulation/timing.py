@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from thermacq.timing.clock import NS_PER_S, Clock
+from thermacq.timing.clock import NS_PER_S, Clock, VirtualClock
 from thermacq.timing.trigger_line import LineReader
 
 _POLL_S = 0.0005
@@ -33,6 +33,12 @@ class DeviceClock:
         self.host = clock
         self._rate = 1 + ppm * 1e-6
         self.start_ns = clock.now_ns()
+        if isinstance(clock, VirtualClock):
+            # Virtual time begins anew with the recording; the device's own count goes on.
+            clock.shifts.append(self._shift)
+
+    def _shift(self, shift_ns: int) -> None:
+        self.start_ns += shift_ns
 
     def ticks(self, host_ns: int, rate_hz: float) -> int:
         """Ticks of the device at a host time, counted at a nominal rate."""
@@ -81,16 +87,18 @@ class FreeRun:
     def __init__(self, clock: DeviceClock, rate_hz: float, queued: int = 3) -> None:
         self._host = clock.host
         self._period_ns = clock.host_interval_ns(1 / rate_hz)
-        self._start_ns = self._host.now_ns()
+        self._clock = clock
+        self._offset_ns = self._host.now_ns() - clock.start_ns
         self._queued = queued
         self._number = 0
 
     def due_ns(self) -> int:
         """Host time of the next exposure; those that a late host lost are skipped."""
-        late = int((self._host.now_ns() - self._start_ns) / self._period_ns) - self._number
+        first_ns = self._clock.start_ns + self._offset_ns
+        late = int((self._host.now_ns() - first_ns) / self._period_ns) - self._number
         if not self._host.is_virtual and late > self._queued:
             self._number += late - self._queued
-        return self._start_ns + round(self._number * self._period_ns)
+        return first_ns + round(self._number * self._period_ns)
 
     def next(self, timeout_s: float, gone: Callable[[], bool] = _never) -> Exposure | None:
         """Wait for the next exposure; None when it is further off than the timeout, or `gone` came first."""

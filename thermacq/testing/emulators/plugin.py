@@ -11,12 +11,14 @@ from thermacq.hooks import Emulator, hookimpl
 def thermacq_emulators() -> Sequence[Emulator]:
     """Built-in emulators."""
     from thermacq.testing.emulators import (
+        hsva_logger,
         modbus_level,
         pulse_pal,
         serial_ascii,
     )
 
     modules = (
+        hsva_logger,
         modbus_level,
         pulse_pal,
         serial_ascii,
