@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.models import CameraModel, Float
 from thermacq_calibration.record import StereoCalibration
 
@@ -83,7 +84,13 @@ class Geometry:
 
     @classmethod
     def of(cls, calibration: StereoCalibration) -> Geometry:
-        """Geometry of a record (its distortion must have no more than eight coefficients)."""
+        """Geometry of a record.
+
+        Raises
+        ------
+        CalibrationError
+            Its distortion has more than the eight coefficients of the rational model.
+        """
         left, right = (_parameters(camera) for camera in (calibration.left, calibration.right))
         return cls(left, right, calibration.rotation, calibration.translation_m)
 
@@ -335,8 +342,10 @@ def _turn(vector: Float) -> Float:
 
 def _parameters(camera: CameraModel) -> Float:
     matrix = camera.matrix
+    if camera.distortion[8:].any():
+        raise CalibrationError("distortion with prism or tilt coefficients cannot be judged here")
     distortion = np.zeros(8)
-    distortion[: camera.distortion.size] = camera.distortion[:8]
+    distortion[: min(8, camera.distortion.size)] = camera.distortion[:8]
     return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion])
 
 

@@ -9,12 +9,15 @@ difference. Here the rig of both cameras is placed as a whole: a wrong baseline 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermacq_calibration.bundle import Corners, Fit, Geometry, Poses, fit, fit_poses, project
+from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.models import Float
+from thermacq_calibration.record import StereoCalibration
 from thermacq_calibration.rectification import rectify_points
 from thermacq_calibration.uncertainty import GRID, WORKING_DISTANCE_M, judge, look
 
@@ -42,6 +45,30 @@ class Difference:
     right_px: Float
     depth_m: float
     depth_map_m: Float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; None where a map has no value."""
+        maps = {name: getattr(self, name) for name in ("left_px", "right_px", "depth_map_m")}
+        numbers = {"rms_px": self.rms_px, "worst_px": self.worst_px, "depth_m": self.depth_m}
+        return numbers | {
+            name: [[float(value) if np.isfinite(value) else None for value in row] for row in rows]
+            for name, rows in maps.items()
+        }
+
+
+@dataclass(frozen=True)
+class Change:
+    """One quantity in two calibrations, and the standard uncertainty of its difference where it is known."""
+
+    quantity: str
+    first: float
+    second: float
+    sigma: float | None
+
+    @property
+    def in_sigmas(self) -> float | None:
+        """Difference in units of its standard uncertainty."""
+        return None if not self.sigma else (self.second - self.first) / self.sigma
 
 
 def projection_difference(
@@ -78,6 +105,35 @@ def projection_difference(
         depth_m=float(depth[scene.seen].mean()),
         depth_map_m=depth.reshape(shape),
     )
+
+
+def compare(first: StereoCalibration, second: StereoCalibration) -> list[Change]:
+    """Parameters and depth of two calibrations side by side.
+
+    Raises
+    ------
+    CalibrationError
+        They are for pictures of different sizes, or have distortion that is not known here.
+    """
+    if first.image_size != second.image_size:
+        sizes = [f"{columns} x {rows}" for columns, rows in (first.image_size, second.image_size)]
+        raise CalibrationError(
+            f"the calibrations are for pictures of different sizes: {sizes[0]} and {sizes[1]}"
+        )
+    distance = first.working_distance_m or WORKING_DISTANCE_M
+    scene = look(Geometry.of(first), first.image_size, distance)
+    values = [judge(Geometry.of(one), scene, first.image_size)[0] for one in (first, second)]
+    return [
+        Change(quantity, values[0][quantity], values[1][quantity], _combined(first, second, quantity))
+        for quantity in values[0]
+    ]
+
+
+def _combined(first: StereoCalibration, second: StereoCalibration, quantity: str) -> float | None:
+    """Standard uncertainty of the difference, as far as either record knows it."""
+    known = [one.standard_uncertainty(quantity) for one in (first, second)]
+    squares = [value**2 for value in known if value is not None]
+    return float(np.sqrt(sum(squares))) if squares else None
 
 
 def half_set_difference(

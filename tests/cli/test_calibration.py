@@ -178,7 +178,10 @@ def test_show_tells_what_is_in_a_record(record, run):
     assert load_calibration(record).sha256 in done.stdout
     assert "9 x 6 inner corners, 0.05 m squares" in done.stdout
     as_json = run("calibration", "show", record, "--json")
-    assert json.loads(as_json.stdout) == load_calibration(record).to_dict()
+    shown = json.loads(as_json.stdout)
+    assert shown.pop("acceptance")["verdict"] == "fail"
+    assert shown == load_calibration(record).to_dict()
+    assert "as a whole: fail" in done.stdout
 
 
 def test_show_refuses_an_altered_record(record, tmp_path, run):

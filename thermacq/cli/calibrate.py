@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,13 +11,15 @@ import typer
 from typer.core import TyperGroup
 
 from thermacq.cli import calibrate_probe
-from thermacq.cli.calibration import AsJson, Output, advise, refuse_existing, show_record
+from thermacq.cli.calibration import AsJson, Output, refuse_existing, write_report
+from thermacq.cli.calibration_tables import advise, record_values, show_record
 from thermacq.cli.common import err, out, print_json
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from thermacq.reconstruction.views import PictureView
+    from thermacq.report.calibration_page import ShownView
     from thermacq_calibration import Board, StereoCalibration, View
 
 
@@ -62,43 +65,76 @@ def cameras(
     pair: Annotated[
         str | None, typer.Option(help="Run file: pair of the rig, or cameras LEFT,RIGHT; default: the first.")
     ] = None,
+    bootstrap: Annotated[
+        int, typer.Option(min=0, help="How many times views are drawn for the uncertainties; 0: none.")
+    ] = 200,
+    working_distance_m: Annotated[
+        float, typer.Option(min=0.05, max=100, help="From the cameras to the water: where depth is judged.")
+    ] = 0.65,
+    counts_per_kelvin: Annotated[
+        float | None,
+        typer.Option(min=1e-9, help="Turns contrast into kelvin; default: the corrections of a run, if any."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Page with pictures of all this to write too (.html).")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Calibrate two cameras from views of a chessboard.
 
-    For a run file the board defaults to the one in its rig.
+    For a run file the board defaults to the one in its rig. Prints every view, the uncertainties and the
+    acceptance table.
     """
-    from thermacq.reconstruction.views import open_views, serials_of
-
     refuse_existing(output)
+    if report is not None:
+        refuse_existing(report)
     if bool(left) != bool(right) or bool(left) == bool(sources):
         raise typer.BadParameter("give a SOURCE, or both --left and --right")
-    if sources:
-        with open_views(sources, frames_per_view, pair) as pictures:
-            board = _board(sources, columns, rows, square_m)
-            calibration = _calibrate(pictures, board, " ".join(map(str, sources)), as_json)
-        calibration = replace(calibration, serials=serials_of(sources, pair))
-    else:
-        board = _board([], columns, rows, square_m)
-        calibration = _calibrate(_globbed(left, right), board, f"{left} {right}", as_json)
+    judged = {"replicates": bootstrap, "working_distance_m": working_distance_m}
+    board = _board(sources or [], columns, rows, square_m)
+    source = " ".join(map(str, sources)) if sources else f"{left} {right}"
+    with _views(sources or [], left, right, frames_per_view, pair) as pictures:
+        calibration = _calibrate(pictures, board, source, as_json, **judged)
+        shown = [] if report is None else _shown(pictures, calibration)
+    calibration = _with_run(calibration, sources or [], pair)
+    if counts_per_kelvin is not None:
+        calibration = replace(calibration, counts_per_kelvin=counts_per_kelvin)
     calibration.save(output)
     if as_json:
-        print_json(calibration.to_dict())
+        print_json(record_values(calibration))
     else:
         show_record(calibration)
     advise(calibration)
     err.print(f"wrote {output}")
+    if report is not None:
+        write_report(calibration, report, shown)
+
+
+@contextmanager
+def _views(
+    sources: list[Path], left: str, right: str, frames_per_view: int | None, pair: str | None
+) -> Iterator[list[PictureView]]:
+    """The views of the command line, as long as the context lasts."""
+    from thermacq.reconstruction.views import open_views
+
+    if not sources:
+        yield _globbed(left, right)
+        return
+    with open_views(sources, frames_per_view, pair) as pictures:
+        yield pictures
 
 
 def _calibrate(
-    pictures: Sequence[PictureView], board: Board, source: str, as_json: bool
+    pictures: Sequence[PictureView], board: Board, source: str, as_json: bool, **judged: Any
 ) -> StereoCalibration:
     from rich.progress import Progress
 
     from thermacq.reconstruction.views import detect_views
     from thermacq_calibration import CalibrationError, calibrate_stereo, check_board
+    from thermacq_calibration.judgement import refuse_impossible_square
 
     check_board(board)
+    refuse_impossible_square(board)
     with Progress(console=err, transient=True) as progress:
         task = progress.add_task("looking for boards", total=len(pictures))
         views, image_size = detect_views(pictures, board, lambda: progress.advance(task))
@@ -110,11 +146,44 @@ def _calibrate(
                 image_size,
                 source,
                 lambda what: progress.update(task, description=what, total=None),
+                **judged,
             )
         except CalibrationError as error:
             progress.stop()
             _show_detections(views, as_json)
             raise CalibrationError(error.what, kept="No file was written.", remedy=error.remedy) from None
+
+
+def _with_run(calibration: StereoCalibration, sources: list[Path], pair: str | None) -> StereoCalibration:
+    """What a run file knows about its cameras; pictures do not tell."""
+    from thermacq.reconstruction.calibration_check import counts_per_kelvin, temperatures_k
+    from thermacq.reconstruction.views import is_run, serials_of
+    from thermacq.store import open_run
+
+    if not is_run(sources):
+        return calibration
+    with open_run(sources[0]) as run:
+        return replace(
+            calibration,
+            serials=serials_of(sources, pair),
+            temperatures_k=temperatures_k(run, pair),
+            counts_per_kelvin=counts_per_kelvin(run, pair),
+        )
+
+
+def _shown(pictures: Sequence[PictureView], calibration: StereoCalibration) -> list[ShownView]:
+    """Pictures for the report: views that were left out, the worst, and the best ones."""
+    from thermacq.errors import ImportDataError
+    from thermacq.report.calibration_page import ShownView, views_to_show
+
+    by_name = {view.name: view for view in pictures}
+    shown = []
+    for name in views_to_show(calibration):
+        left, right = by_name[name].left, by_name[name].right
+        if left is not None and right is not None:
+            with suppress(ImportDataError):
+                shown.append(ShownView(name, left(), right()))
+    return shown
 
 
 def _require_pairs(pictures: Sequence[PictureView], views: Sequence[View], board: Board) -> None:

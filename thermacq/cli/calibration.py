@@ -1,4 +1,4 @@
-"""``thermacq calibration``: show stereo calibrations, and write one from known geometry."""
+"""``thermacq calibration``: show, compare and check stereo calibrations, and write one from known geometry."""
 
 from __future__ import annotations
 
@@ -7,14 +7,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermacq.cli.common import err, out, print_json, warn
+from thermacq.cli.calibration_tables import advise, record_values, show_check, show_difference, show_record
+from thermacq.cli.common import EXIT_FINDINGS, err, print_json, warn
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from thermacq.report.calibration_page import ShownView
     from thermacq_calibration import StereoCalibration
 
-app = typer.Typer(help="Show a stereo calibration, or write one from known geometry.", no_args_is_help=True)
+app = typer.Typer(
+    help="Show, compare and check stereo calibrations, or write one from known geometry.",
+    no_args_is_help=True,
+)
 
 AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
+Record = Annotated[Path, typer.Argument(help="Calibration record.")]
 Output = Annotated[
     Path, typer.Option("--output", "-o", help="Calibration record to write; must not exist yet.")
 ]
@@ -22,17 +30,112 @@ Output = Annotated[
 
 @app.command()
 def show(
-    calibration: Annotated[Path, typer.Argument(help="Calibration record.")], as_json: AsJson = False
+    calibration: Record,
+    world: Annotated[
+        Path | None, typer.Option(help="World frame made with it: judge its still-water plane too.")
+    ] = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Show a calibration, view by view."""
+    """Show a calibration: view by view, its figures and uncertainties, and the acceptance table."""
+    from thermacq.reconstruction import load_world_frame
     from thermacq_calibration import load_calibration
 
     record = load_calibration(calibration)
+    sigma_m = None if world is None else load_world_frame(world).sigma_m
     if as_json:
-        print_json(record.to_dict())
+        print_json(record_values(record, sigma_m))
         return
-    show_record(record)
+    show_record(record, sigma_m)
     advise(record)
+
+
+@app.command()
+def report(
+    calibration: Record,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Page to write (.html); must not exist yet.")
+    ],
+) -> None:
+    """Write a page about a calibration: acceptance, corners, residuals, coverage, uncertainty over the picture."""
+    from thermacq_calibration import load_calibration
+
+    record = load_calibration(calibration)
+    refuse_existing(output)
+    write_report(record, output, [])
+
+
+@app.command()
+def diff(
+    first: Annotated[Path, typer.Argument(metavar="A", help="Calibration record.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Calibration record of the same cameras.")],
+    as_json: AsJson = False,
+) -> None:
+    """Compare two calibrations: parameters, projections over the picture, depth at the working distance."""
+    from dataclasses import asdict
+
+    from thermacq_calibration import load_calibration
+    from thermacq_calibration.bundle import Geometry
+    from thermacq_calibration.differences import compare, projection_difference
+    from thermacq_calibration.uncertainty import WORKING_DISTANCE_M
+
+    one, other = load_calibration(first), load_calibration(second)
+    changes = compare(one, other)
+    distance_m = one.working_distance_m or WORKING_DISTANCE_M
+    difference = projection_difference(Geometry.of(one), Geometry.of(other), one.image_size, distance_m)
+    if as_json:
+        plain = [asdict(change) | {"in_sigmas": change.in_sigmas} for change in changes]
+        print_json({"changes": plain, "difference": difference.to_dict()})
+    else:
+        show_difference(changes, difference)
+    if one.serials and other.serials and one.serials != other.serials:
+        warn("These are calibrations of different cameras.")
+
+
+@app.command()
+def check(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="[CAL] RUN | [CAL] LEFT RIGHT", help="Calibration, then a run or two pictures."
+        ),
+    ],
+    rectified: Annotated[
+        bool, typer.Option("--rectified", help="The two pictures are rectified already: no calibration.")
+    ] = False,
+    pair: Annotated[
+        str | None, typer.Option(help="Run file: pair of the rig, or cameras LEFT,RIGHT; default: the first.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Does a recording still fit its calibration? Status 3 when it does not.
+
+    Texture is matched in rectified pictures: rows of the two must agree. A run alone is checked against the
+    calibration stored in it.
+    """
+    from dataclasses import asdict
+
+    from thermacq.reconstruction.calibration_check import check_pictures, check_run
+    from thermacq.reconstruction.views import is_picture, read_picture
+    from thermacq_calibration import load_calibration
+
+    pictures = [path for path in files if is_picture(path)]
+    others = [path for path in files if not is_picture(path)]
+    if rectified and len(pictures) == 2 and not others:
+        found = check_pictures(read_picture(pictures[0]), read_picture(pictures[1]), None)
+    elif not rectified and len(pictures) == 2 and len(others) == 1:
+        calibration = load_calibration(others[0])
+        found = check_pictures(read_picture(pictures[0]), read_picture(pictures[1]), calibration)
+    elif not rectified and not pictures and len(others) in (1, 2):
+        found = check_run(others[-1], others[0] if len(others) == 2 else None, pair)
+    else:
+        raise typer.BadParameter("give CAL RUN, or CAL LEFT RIGHT, or --rectified LEFT RIGHT")
+    if as_json:
+        fits = {"fits": found.agreement.fits, "systematic_px": found.agreement.systematic_px}
+        print_json(asdict(found) | fits)
+    else:
+        show_check(found)
+    if not found.agreement.fits:
+        raise typer.Exit(EXIT_FINDINGS)
 
 
 @app.command()
@@ -64,89 +167,20 @@ def rectified(
     err.print(f"wrote {output}")
 
 
-def show_record(calibration: StereoCalibration) -> None:
-    """Print a record: its views, then its figures."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table("view", "left px", "right px", "rows px", "held out px", "tilt", "distance", "", box=None)
-    for view in calibration.views:
-        numbers = (view.left_rms_px, view.right_rms_px, view.vertical_rms_px, view.held_out_vertical_rms_px)
-        table.add_row(
-            escape(view.name),
-            *(_number(value, ".3f") for value in numbers),
-            _number(view.tilt_deg, ".0f", " deg"),
-            _number(view.distance_m, ".3f", " m"),
-            "used" if view.used else "not used",
-        )
-    if calibration.views:
-        out.print(table)
-    for view in calibration.views:
-        if view.reason:
-            out.print(f"view {escape(view.name)} not used: {escape(view.reason)}")
-    for name, value in _figures(calibration):
-        out.print(f"{name:>24}  {escape(value)}")
-
-
-def _figures(calibration: StereoCalibration) -> list[tuple[str, str]]:
-    left, right = calibration.left, calibration.right
-    used = sum(view.used for view in calibration.views)
-    board = calibration.board
-    translation = ", ".join(f"{value:.5f}" for value in calibration.translation_m)
-    figures = [
-        ("pictures", "{} x {} px".format(*calibration.image_size)),
-        ("baseline", f"{calibration.baseline_m:.6g} m"),
-        ("translation", f"({translation}) m"),
-        ("focal lengths", f"{left.matrix[0, 0]:.2f}, {right.matrix[0, 0]:.2f} px (left, right)"),
-        (
-            "cameras",
-            ", ".join(calibration.serials) + " (left, right)" if calibration.serials else "not known",
-        ),
-        ("source", calibration.source),
-        ("created", calibration.created),
-        ("sha256", calibration.sha256),
-    ]
-    if board is None:
-        return figures
-    coverage = calibration.coverage or (0.0, 0.0)
-    stereo, left_alone, right_alone, rows, held_out = (
-        _number(value, ".3f", " px")
-        for value in (
-            calibration.rms_px,
-            left.rms_px,
-            right.rms_px,
-            calibration.vertical_rms_px,
-            calibration.held_out_vertical_rms_px,
-        )
-    )
-    return [
-        ("board", f"{board.columns} x {board.rows} inner corners, {board.square_m:g} m squares"),
-        ("views used", f"{used} of {len(calibration.views)}"),
-        ("RMS", f"{stereo} stereo, {left_alone} left alone, {right_alone} right alone"),
-        ("rows after rectification", f"{rows}, {held_out} held out"),
-        ("coverage", f"{coverage[0]:.0%} left, {coverage[1]:.0%} right"),
-        *figures,
-    ]
-
-
-def advise(calibration: StereoCalibration) -> None:
-    """Warn of what looks wrong or weak."""
-    from thermacq_calibration import findings
-
-    for sentence in findings(calibration):
-        warn(sentence)
-
-
-def _number(value: float | None, form: str, unit: str = "") -> str:
-    return "-" if value is None else f"{value:{form}}{unit}"
-
-
 def _numbers(text: str, separator: str, option: str, example: str) -> tuple[float, float]:
     try:
         first, second = (float(part) for part in text.split(separator))
     except ValueError:
         raise typer.BadParameter(f"{option} {text}: write it like {example}") from None
     return first, second
+
+
+def write_report(calibration: StereoCalibration, output: Path, shown: Sequence[ShownView]) -> None:
+    """Write the page about a calibration and say so."""
+    from thermacq.report.calibration_page import write_calibration_page
+
+    write_calibration_page(calibration, output, shown)
+    err.print(f"wrote {output}")
 
 
 def refuse_existing(output: Path) -> None:

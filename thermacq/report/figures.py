@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermacq.report.data import Picture, Place, Quantisation, Series, Surface
 
@@ -222,12 +223,17 @@ def picture(counts: Picture) -> str:
     """A frame as PNG, stretched from its 1st to its 99th percentile, as a data address."""
     import cv2
 
-    low, high = np.percentile(counts, [1, 99])
-    scaled = (np.asarray(counts, np.float64) - low) / max(high - low, 1e-9)
-    done, encoded = cv2.imencode(".png", np.clip(255 * scaled, 0, 255).astype(np.uint8))
+    done, encoded = cv2.imencode(".png", stretched(counts))
     if not done:
         raise ValueError("the picture cannot be encoded as PNG")
-    return _data_address(encoded.tobytes())
+    return data_address(encoded.tobytes())
+
+
+def stretched(counts: Picture) -> NDArray[np.uint8]:
+    """A frame in 8 bit, from its 1st to its 99th percentile."""
+    low, high = np.percentile(counts, [1, 99])
+    scaled = (np.asarray(counts, np.float64) - low) / max(high - low, 1e-9)
+    return np.asarray(np.clip(255 * scaled, 0, 255), np.uint8)
 
 
 @contextmanager
@@ -328,8 +334,9 @@ def _png(figure: Figure) -> str:
     # Where a surface has holes, matplotlib projects vertices that it never set before it masks them.
     with np.errstate(over="ignore", invalid="ignore"):
         figure.savefig(buffer, format="png", dpi=150, facecolor="white", bbox_inches="tight")
-    return _data_address(buffer.getvalue())
+    return data_address(buffer.getvalue())
 
 
-def _data_address(content: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(content).decode("ascii")
+def data_address(content: bytes, kind: str = "png") -> str:
+    """A picture file as an address that needs no other file."""
+    return f"data:image/{kind};base64," + base64.b64encode(content).decode("ascii")
