@@ -18,6 +18,7 @@ def thermacq_drivers() -> Sequence[Driver]:
     """Built-in drivers."""
     from thermacq_drivers import (
         gige,
+        hsva_logger,
         modbus_level,
         pulse_pal,
         serial_ascii,
@@ -27,6 +28,7 @@ def thermacq_drivers() -> Sequence[Driver]:
 
     modules = (
         gige,
+        hsva_logger,
         modbus_level,
         pulse_pal,
         serial_ascii,
