@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import threading
@@ -31,7 +32,7 @@ driver = "gige"
 serial = "GV02"
 settings = { columns = 160, rows = 128 }
 """
-KILLED_AFTER_FRAMES = 10
+FAULT_AFTER_FRAMES = 10
 
 pytestmark = pytest.mark.slow
 
@@ -86,19 +87,39 @@ def test_a_pair_is_found_and_recorded(pair, thermacq, tmp_path):
     assert thermacq("verify", "run.h5").returncode == 0
 
 
+def test_lost_packets_and_a_pause_are_told_by_the_file(fake_camera, second_address, thermacq, tmp_path):
+    fake_camera("GV01", lost_per_thousand=3)
+    right = fake_camera("GV02", second_address)
+    path = tmp_path / "run.h5"
+
+    def pause() -> None:
+        wait_for_frames(path)
+        right.signal(signal.SIGSTOP)
+        time.sleep(2.0)
+        right.signal(signal.SIGCONT)
+
+    pausing = threading.Thread(target=pause)
+    pausing.start()
+    done = thermacq("record", "rig.toml", "-o", "run.h5", "--duration", "7")
+    pausing.join()
+    assert done.returncode == 0, done.stderr
+    with open_run(path) as run:
+        lost = {name: device["lost"] for name, device in run.summary()["sync"]["devices"].items()}
+        told = [event for event in run.events() if event.device == "left" and event.kind == "incomplete"]
+        assert lost["left"]["incomplete"] == len(told) > 0
+        # Losses before the first and after the last good frame leave no gap between two counters.
+        assert lost_in_file(run, "left") <= sum(lost["left"].values())
+        assert np.max(np.diff(run.frames("right").ticks)) > 1.9e9
+        assert sum(lost["right"].values()) <= 1  # the frame that was under way
+        assert lost_in_file(run, "right") == sum(lost["right"].values())
+    assert thermacq("verify", "run.h5").returncode == 0
+
+
 def test_a_killed_camera_ends_the_run_and_harms_nothing(pair, thermacq, tmp_path):
     _, right = pair
     path = tmp_path / "run.h5"
 
-    def kill_once_it_records() -> None:
-        deadline_s = time.monotonic() + 30
-        while time.monotonic() < deadline_s:
-            time.sleep(0.1)
-            if frames_written(path) >= KILLED_AFTER_FRAMES:
-                break
-        right.kill()
-
-    killer = threading.Thread(target=kill_once_it_records)
+    killer = threading.Thread(target=lambda: (wait_for_frames(path), right.kill()))
     killer.start()
     done = thermacq("record", "rig.toml", "-o", "run.h5", "--duration", "30")
     killer.join()
@@ -109,7 +130,7 @@ def test_a_killed_camera_ends_the_run_and_harms_nothing(pair, thermacq, tmp_path
         gone = [event for event in run.events() if event.kind == "disconnected"]
         assert [event.device for event in gone] == ["right"]
         times = {name: run.frames(name).host_ns for name in ("left", "right")}
-        assert len(times["right"]) >= KILLED_AFTER_FRAMES
+        assert len(times["right"]) >= FAULT_AFTER_FRAMES
         # 5 to 6 s until Aravis gives the camera up; the left one goes on meanwhile.
         assert 4e9 < gone[0].host_ns - times["right"][-1] < 12e9
         assert times["left"][-1] > gone[0].host_ns
@@ -143,6 +164,13 @@ def test_the_driver_conforms(fake_camera, tmp_path):
     assert done.returncode == 0, done.stdout
     # The faults have tests of their own: no setting makes a real peer act them out.
     assert "20 passed, 4 skipped" in done.stdout
+
+
+def wait_for_frames(path: Path) -> None:
+    """Wait until some frames are in the file."""
+    deadline_s = time.monotonic() + 30
+    while frames_written(path) < FAULT_AFTER_FRAMES and time.monotonic() < deadline_s:
+        time.sleep(0.1)
 
 
 def frames_written(path: Path) -> int:

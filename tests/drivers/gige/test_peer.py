@@ -12,6 +12,7 @@ from thermacq.devices import DeviceIdentity, FrameFlag, TriggerMode
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceOverrun, DeviceTimeout, IncompleteFrame
 from thermacq.transports import RealTransports
 from thermacq_drivers.gige import DRIVER
+from thermacq_drivers.gige.aravis import load
 
 from .conftest import SMALL, Host
 
@@ -209,3 +210,21 @@ def test_a_killed_camera_is_a_disconnection_and_comes_back(fake_camera, running)
     camera.configure(SMALL)
     camera.arm(TriggerMode.FREE_RUN, 50.0)
     assert len(Host(camera).take(5)) == 5
+
+
+def test_a_camera_without_a_network_is_driven_too(aravis, running):
+    """Aravis' in-process camera: neither packets nor sockets, as with USB3 Vision."""
+    library = load()
+    library.enable_interface("Fake")
+    try:
+        camera, host = running(50.0, serial="1")
+        assert camera.open().model == "Aravis Fake"
+        applied = camera.configure(SMALL)
+        camera.arm(TriggerMode.FREE_RUN, 50.0)
+        frames = host.take(10)
+    finally:
+        library.disable_interface("Fake")
+    assert applied["socket_buffer_bytes"] == 4 << 20
+    assert len(frames) == 10
+    assert host.losses == []
+    assert len({frame.counter for frame in frames}) == 10
