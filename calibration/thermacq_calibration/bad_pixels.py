@@ -13,6 +13,7 @@ from thermacq_calibration.correction import BadPixel, Picture
 from thermacq_calibration.reference_view import ReferenceView
 
 SMALLEST_RESPONSE = 0.5
+SMALLEST_NOISE = 0.2
 LARGEST_NOISE = 2.0
 LARGEST_DEVIATION_MAD = 6.0
 _MAD_OF_NORMAL = 0.6745
@@ -37,6 +38,11 @@ def dead_pixels(response: Picture) -> Mask:
         (rows, columns) uint8, `BadPixel.DEAD` or 0. So do all functions here with their own bit.
     """
     return _mask(response < SMALLEST_RESPONSE * np.median(response), BadPixel.DEAD)
+
+
+def stuck_pixels(view: ReferenceView) -> Mask:
+    """Pixels with less than a fifth of the temporal noise of the others: they show next to nothing."""
+    return _mask(view.noise < SMALLEST_NOISE * np.median(view.noise), BadPixel.DEAD)
 
 
 def noisy_pixels(view: ReferenceView) -> Mask:

@@ -22,6 +22,7 @@ from thermacq_calibration.bad_pixels import (
     dead_pixels,
     noisy_pixels,
     outlying_pixels,
+    stuck_pixels,
 )
 from thermacq_calibration.correction import BadPixel, CameraCorrection, Picture
 from thermacq_calibration.errors import CalibrationError
@@ -244,7 +245,7 @@ def _check_temperatures(cold: ReferenceView, hot: ReferenceView) -> None:
 def _bad_in_time(views: Sequence[ReferenceView]) -> Mask:
     bad = np.zeros(views[0].mean.shape, np.uint8)
     for view in views:
-        bad |= noisy_pixels(view) | blinking_pixels(view)
+        bad |= stuck_pixels(view) | noisy_pixels(view) | blinking_pixels(view)
     return bad
 
 

@@ -58,7 +58,7 @@ class ReferenceView:
     def label(self) -> str:
         """How messages call it."""
         temperature = "" if self.temperature_k is None else f" at {self.temperature_k:g} K"
-        return f"view '{self.name}'{temperature}" if self.name else f"the view{temperature}"
+        return f"view {self.name}{temperature}" if self.name else f"the view{temperature}"
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -96,9 +96,9 @@ def observe(
         Fewer than `FEWEST_FRAMES` different frames, frames of different sizes or not finite, or more than
         1 % of the pixels never change, as saturated ones do.
     """
-    what = f"view '{name}'" if name else "the view"
+    what = f"view {name}" if name else "the view"
     for key, value in (("temperature", temperature_k), ("temperature of the camera", fpa_temperature_k)):
-        if value is not None and not 0 < value < 5000:
+        if value is not None and not 100 < value < 5000:
             raise CalibrationError(f"{what} has a {key} of {value:g} K", remedy="Give it in kelvin.")
     statistics: _Statistics | None = None
     repeats = 0

@@ -101,6 +101,13 @@ def test_bad_pixels_are_found_by_reason(camera):
     assert (bad > 0).sum() <= 6
 
 
+def test_stuck_pixels_show_in_a_single_view(camera):
+    camera.offset[20, 30] = 20000
+    correction = make_correction([camera.view(295.0)], serial="", camera="left")
+    assert correction.bad_pixels[20, 30] == BadPixel.DEAD
+    assert (correction.bad_pixels > 0).sum() == 1
+
+
 def test_an_update_follows_drift_of_the_offsets(camera):
     correction = two_point(camera)
     camera.offset += camera.random.normal(0, 20, camera.gain.shape) + 35
@@ -155,7 +162,7 @@ def test_shading_starts_anew_at_the_temperature_of_an_update(camera):
 
 
 def test_too_close_temperatures_are_refused(camera):
-    with pytest.raises(CalibrationError, match=r"'run-295' at 295 K and .* less than 1 K apart"):
+    with pytest.raises(CalibrationError, match=r"run-295 at 295 K and .* less than 1 K apart"):
         make_correction([camera.view(295.0), camera.view(295.4)], serial="", camera="left")
 
 
