@@ -76,16 +76,18 @@ def motion_between(
 ) -> tuple[RigidMotion, list[str]]:
     """Rigid motion that takes points of the second pair's camera to the first's, from shared views of a board.
 
-    Views whose corners miss each other by more than four times what is usual are left out, and named.
+    Views whose corners miss each other by more than four times the median are left out, and named.
 
     Raises
     ------
     ReconstructionError
-        There is no shared view, or too few are left.
+        There is no shared view.
     """
     shared = common_corners(list(first), list(second))
-    motion = _fit(shared)
-    misfit = np.array([_misfit(one, other, motion) for one, other in shared])
+    # One wrong view would tear the common fit; so each view alone proposes a motion and the others vote.
+    proposals = [_fit([pair]) for pair in shared]
+    misfits = np.array([[_misfit(*pair, motion) for pair in shared] for motion in proposals])
+    misfit = misfits[np.argmin(np.median(misfits, axis=1))]
     kept = misfit <= 4 * max(float(np.median(misfit)), 1e-9)
     left_out = [
         f"view {one.frames.start}-{one.frames.stop - 1} left out: its corners miss each other by "
@@ -93,9 +95,7 @@ def motion_between(
         for (one, _), off, keep in zip(shared, misfit, kept, strict=True)
         if not keep
     ]
-    if left_out:
-        motion = _fit([pair for pair, keep in zip(shared, kept, strict=True) if keep])
-    return motion, left_out
+    return _fit([pair for pair, keep in zip(shared, kept, strict=True) if keep]), left_out
 
 
 def placing_by_board(first: WorldFrame, second: WorldFrame, motion: RigidMotion) -> tuple[Placing, list[str]]:

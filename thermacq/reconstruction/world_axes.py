@@ -24,6 +24,8 @@ _TIME_BLOCKS = 8
 _SPACE_BLOCKS = 3
 _LEAST_FRAMES = 24
 _MOST_UNCERTAIN_DEG = 20.0
+_LEAST_TRAVEL = 0.15
+"""Flux over what the same rates and slopes would carry if all waves travelled one way; standing waves have none."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +200,7 @@ def direction_of_waves(product: xr.Dataset) -> Direction:
             f"{time_s.size} frames on {x.size} x {y.size} cells are too few for a direction of waves",
             remedy=f"Reconstruct at least {_LEAST_FRAMES} frames, better ten periods.",
         )
-    flux = _flux(eta, time_s, x, y)
+    flux, rate_rms, slope_rms = _flux(eta, time_s, x, y)
     total = np.nanmean(flux, axis=(1, 2, 3))
     size = float(np.hypot(*total))
     across = np.array([-total[1], total[0]]) / max(size, 1e-30)
@@ -211,7 +213,8 @@ def direction_of_waves(product: xr.Dataset) -> Direction:
     ]
     scatter = [np.nanstd(part, ddof=1) / np.sqrt(len(part)) for part in (parts_of_time, parts_of_area)]
     uncertainty = float(np.hypot(*scatter) / max(size, 1e-30))
-    if not np.isfinite(uncertainty) or np.degrees(uncertainty) > _MOST_UNCERTAIN_DEG:
+    open_direction = not np.isfinite(uncertainty) or np.degrees(uncertainty) > _MOST_UNCERTAIN_DEG
+    if open_direction or size < _LEAST_TRAVEL * rate_rms * slope_rms:
         raise ReconstructionError(
             "the surface shows no waves that travel in one direction (standing waves, or hardly any)",
             remedy="Use a record of travelling waves, two marks, or a board.",
@@ -222,8 +225,8 @@ def direction_of_waves(product: xr.Dataset) -> Direction:
 
 def _flux(
     eta: NDArray[np.float64], time_s: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """``-eta_t grad eta`` at inner frames and cells: (2, frames - 2, ny - 2, nx - 2), NaN without support."""
+) -> tuple[NDArray[np.float64], float, float]:
+    """``-eta_t grad eta`` at inner frames and cells, (2, frames - 2, ny - 2, nx - 2), and the RMS of both factors."""
     inner = eta[1:-1, 1:-1, 1:-1]
     span = (time_s[2:] - time_s[:-2])[:, None, None]
     rate = (eta[2:, 1:-1, 1:-1] - eta[:-2, 1:-1, 1:-1]) / span
@@ -231,4 +234,7 @@ def _flux(
     across = (eta[1:-1, 2:, 1:-1] - eta[1:-1, :-2, 1:-1]) / (y[2:] - y[:-2])[:, None]
     flux = np.stack([-rate * along, -rate * across])
     flux[:, ~np.isfinite(inner)] = np.nan
-    return flux
+    rates, slopes = rate[np.isfinite(flux[0])], np.hypot(along, across)[np.isfinite(flux).all(axis=0)]
+    if rates.size == 0 or slopes.size == 0:
+        raise ReconstructionError("no cell is supported together with its neighbours in space and time")
+    return flux, float(np.sqrt(np.mean(rates**2))), float(np.sqrt(np.mean(slopes**2)))
