@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from thermacq_calibration.preheat import Criterion
 
 _LOOK_S = 0.5
+_RING_FRAMES = 60
 _NAMES = {"fpa": "slope of the focal plane", "drift": "drift of the picture", "time": "time"}
 _FAIL, _UNKNOWN = "fail", "not judged"
 
@@ -120,7 +121,11 @@ class _Watch:
 
         loaded = load_rig(rig, scene)
         trigger = loaded.trigger.model_copy(update={"frame_rate_hz": rate_hz})
-        session = start(loaded.model_copy(update={"trigger": trigger, "probes": {}}), output)
+        # Rings of a few frames would hold up virtual time until each commit.
+        ring_s = max(loaded.store.ring_s, min(30.0, _RING_FRAMES / rate_hz))
+        store = loaded.store.model_copy(update={"ring_s": ring_s})
+        rig_now = loaded.model_copy(update={"trigger": trigger, "store": store, "probes": {}})
+        session = start(rig_now, output)
         with Live(console=err, refresh_per_second=2, transient=True) as live:
 
             def look(news: dict[str, Any]) -> None:
@@ -182,6 +187,8 @@ def _tell(status: PreheatStatus, as_json: bool) -> None:
         for one in camera.criteria:
             if one.grade == _UNKNOWN:
                 out.print(f"{name}: {_NAMES[one.name]} cannot be judged: {one.note}", markup=False)
+            elif one.grade == _FAIL and one.note:
+                out.print(f"{name}: {_NAMES[one.name]}: {one.note}", markup=False)
     if status.override:
         out.print(f"override: {status.override}", markup=False)
     out.print("[bold green]go[/]" if status.is_go else "[bold red]no-go[/]")
