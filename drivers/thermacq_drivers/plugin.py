@@ -21,6 +21,7 @@ def thermacq_drivers() -> Sequence[Driver]:
         hsva_logger,
         modbus_level,
         pulse_pal,
+        seek,
         serial_ascii,
         testpattern,
     )
@@ -31,6 +32,7 @@ def thermacq_drivers() -> Sequence[Driver]:
         hsva_logger,
         modbus_level,
         pulse_pal,
+        seek,
         serial_ascii,
         testpattern,
     )

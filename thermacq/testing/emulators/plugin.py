@@ -14,6 +14,7 @@ def thermacq_emulators() -> Sequence[Emulator]:
         hsva_logger,
         modbus_level,
         pulse_pal,
+        seek,
         serial_ascii,
     )
 
@@ -21,6 +22,7 @@ def thermacq_emulators() -> Sequence[Emulator]:
         hsva_logger,
         modbus_level,
         pulse_pal,
+        seek,
         serial_ascii,
     )
     return tuple(module.EMULATOR for module in modules)
