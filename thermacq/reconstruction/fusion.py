@@ -1,8 +1,8 @@
 """Two elevation products in one world frame to one: weights from their uncertainty, no step at the seams.
 
-Where both products have a cell, it is their mean with the weights ``f / u²``: u is the standard uncertainty of a
-cell (``eta_u``), and f falls linearly to 0 over the last few cells before the edge of what a product covers, so
-that at the edge of one product the fused surface is already that of the other, whatever the two differ by.
+Where both products have a cell, it is their mean with the weights ``1 / u²``, u being the standard uncertainty of
+a cell (``eta_u``). Over the last few cells before the edge of what a product covers, its share falls linearly to
+0, so that at the edge the fused surface is already that of the other one, whatever the two differ by.
 """
 
 from __future__ import annotations
@@ -194,18 +194,23 @@ def _blocks(
 def _weights(
     prints: list[NDArray[np.bool_]], uncertainties: list[NDArray[np.float32]]
 ) -> list[NDArray[np.float64]]:
-    """``f / u²`` of both products; never 0 inside a product's grid, so that single frames may reach farther."""
+    """Shares of both products; never 0 inside a product's grid, so that single frames may reach farther."""
     from scipy.ndimage import distance_transform_edt
 
     # A rim of outside around the grid, so that its border is an edge too.
     depths = [distance_transform_edt(np.pad(one, 1))[1:-1, 1:-1] for one in prints]
     deepest = float(np.minimum(*depths).max())
     ramp = min(max(deepest, 1.0), _RAMP_CELLS)
-    return [
-        np.where(
-            np.isfinite(u), np.maximum(np.minimum(depth / ramp, 1.0), 1e-6) / np.square(u, dtype=float), 0.0
-        )
+    fades = [
+        np.where(np.isfinite(u), np.clip(depth / ramp, 1e-6, 1.0), 0.0)
         for depth, u in zip(depths, uncertainties, strict=True)
+    ]
+    squares = [np.square(u, dtype=np.float64) for u in uncertainties]
+    best = np.nan_to_num(squares[1] / (squares[0] + squares[1]), nan=0.5)
+    # As one product fades, the other takes over what it loses: the share falls linearly, whatever the other's is.
+    return [
+        fades[0] * (best + (1 - best) * (1 - fades[1])),
+        fades[1] * ((1 - best) + best * (1 - fades[0])),
     ]
 
 
@@ -246,7 +251,8 @@ def _doubts(one: xr.Dataset, other: xr.Dataset, overlap: Overlap | None) -> tupl
     doubts = []
     frames = [world_of(dataset) for dataset in (one, other)]
     joined = any(
-        a.source.get("joined", {}).get("to_calibration_sha256") == b.source.get("calibration_sha256")
+        "joined" in a.source
+        and a.source["joined"].get("to_calibration_sha256") == b.source.get("calibration_sha256")
         for a, b in (frames, frames[::-1])
     )
     if not joined:

@@ -1,7 +1,9 @@
 """Place and direction of a second elevation product relative to a first, from the waves that both see.
 
-Shift and yaw are searched on a coarse grid around a place measured by hand, then fitted by least squares with the
-gradient of the first surface, over all common times. Long-crested waves leave the shift along their crests open;
+Shift and yaw are searched on a coarse grid around a place measured by hand, then fitted over all common times with
+the gradients of both surfaces: residuals times the slopes of the second one, against the slopes of the first
+(instrumental variables). Slopes are noisy, and least squares with those of one surface alone would take its noise
+for information; noise of the two surfaces is independent and cancels. Long-crested waves leave the shift along their crests open;
 the uncertainty then says so and the result is refused.
 """
 
@@ -31,12 +33,13 @@ _WORST_M, _WORST_DEG = 0.005, 1.0
 
 
 class _Pair(NamedTuple):
-    """First surface on its grid, and cells of the second one relative to its camera."""
+    """First surface on its grid; cells of the second one relative to its camera, their elevation and slopes."""
 
     first: Floats
     origin_m: tuple[float, float]
     spacing_m: float
     second: Floats
+    slopes: Floats
     cells_m: Floats
 
 
@@ -106,6 +109,9 @@ def _pair(
         (float(x[0]), float(y[0])),
         float(x[1] - x[0]),
         eta.reshape(len(chosen), -1),
+        np.stack([np.gradient(eta, float(u[0, 1] - u[0, 0]), axis=axis) for axis in (2, 1)]).reshape(
+            2, len(chosen), -1
+        ),
         np.stack([u.ravel(), v.ravel()], axis=1) - camera_m,
     )
 
@@ -171,20 +177,24 @@ def _fitted(pair: _Pair, start: Floats) -> tuple[Floats, Floats, float, float, i
         design = np.stack(
             [slope_x, slope_y, slope_x * turn_x + slope_y * turn_y, np.ones_like(model)], axis=-1
         )
-        known = np.isfinite(design).all(axis=-1) & np.isfinite(pair.second) & np.isfinite(model)
+        own_x = cosine * pair.slopes[0] - sine * pair.slopes[1]
+        own_y = sine * pair.slopes[0] + cosine * pair.slopes[1]
+        instrument = np.stack([own_x, own_y, own_x * turn_x + own_y * turn_y, np.ones_like(own_x)], axis=-1)
+        known = np.isfinite(design).all(axis=-1) & np.isfinite(instrument).all(axis=-1)
+        known &= np.isfinite(pair.second) & np.isfinite(model)
         if np.count_nonzero(known.any(axis=0)) < _LEAST_CELLS:
             raise ReconstructionError(
                 "the two products hardly overlap: fewer than 60 cells are seen by both",
                 remedy="Move the pairs nearer to each other, or use a shared board.",
             )
-        rows, residuals = design[known], (pair.second - model)[known]
-        step = np.linalg.lstsq(rows, residuals, rcond=None)[0]
+        rows, others, residuals = design[known], instrument[known], (pair.second - model)[known]
+        step = np.linalg.pinv(others.T @ rows) @ (others.T @ residuals)
         place = place + np.clip(step[:3], -0.02, 0.02)
         if np.abs(step[:3]).max() < 1e-7:
             break
     block = _blocks(pair.cells_m)[np.nonzero(known)[1]]
     residuals = residuals - rows @ step
-    covariance = _jackknife(rows, residuals, block)[:3, :3]
+    covariance = _jackknife(rows, others, residuals, block)[:3, :3]
     correlation = _correlation(pair.second, _seen(pair, pair.first, place))
     return place, covariance, float(residuals.std()), correlation, int(np.count_nonzero(known.any(axis=0)))
 
@@ -197,14 +207,14 @@ def _blocks(cells_m: Floats) -> NDArray[np.int64]:
     return joined
 
 
-def _jackknife(rows: Floats, residuals: Floats, block: NDArray[np.int64]) -> Floats:
+def _jackknife(rows: Floats, others: Floats, residuals: Floats, block: NDArray[np.int64]) -> Floats:
     """Covariance of a linear fit from leaving out one block after the other."""
-    normal = rows.T @ rows
+    normal = others.T @ rows
     moved = []
     for one in np.unique(block):
         out = block == one
-        without = normal - rows[out].T @ rows[out]
-        moved.append(-np.linalg.pinv(without) @ (rows[out].T @ residuals[out]))
+        without = normal - others[out].T @ rows[out]
+        moved.append(-np.linalg.pinv(without) @ (others[out].T @ residuals[out]))
     spread = np.stack(moved)
     covariance: Floats = (len(spread) - 1) / len(spread) * spread.T @ spread
     return covariance
