@@ -53,7 +53,7 @@ def folder(tmp_path: Path):
     """Folder with a rig of two tiny cameras that warm up fast, and with scenes."""
     (tmp_path / "rig.toml").write_text(RIG + SIDE.format(side="left") + SIDE.format(side="right"))
     (tmp_path / "warm.toml").write_text(SCENE.format(rise=5.0))
-    (tmp_path / "hot.toml").write_text(SCENE.format(rise=5.0).replace("= 60.0\nhousing", "= 9e6\nhousing"))
+    (tmp_path / "hot.toml").write_text(SCENE.format(rise=40.0).replace("= 60.0\nhousing", "= 3000.0\nhousing"))
     (tmp_path / "black.toml").write_text('view = "uniform"\n')
     return tmp_path
 

@@ -27,7 +27,7 @@ OVERRIDE = "preheat override"
 
 _SAMPLE_S = 0.9
 # Pictures of a fast recording are looked at about once a second; drift is slow.
-_SHORT_CLOSING_S = 0.5
+_SHORT_CLOSING_S = 0.6
 # Frames farther apart may miss the shutter of a camera that corrects itself.
 
 
