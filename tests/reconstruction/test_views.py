@@ -148,7 +148,8 @@ def board_run(tmp_path, small_pair):
 
     def write(held, noise=6.0, cameras=("left", "right")):
         path = tmp_path / "board.h5"
-        header = RunHeader("1", "board", "2026-01-01T00:00:00+00:00", 0, 0, "virtual", True, {"cameras": {}})
+        rig = {"cameras": {name: {"driver": "x"} for name in cameras}}
+        header = RunHeader("1", "board", "2026-01-01T00:00:00+00:00", 0, 0, "virtual", True, rig)
         columns, rows = small_pair.truth.image_size
         streams = [CameraStream(name, rows, columns) for name in cameras]
         writer = RunWriter.create(path, header, streams)

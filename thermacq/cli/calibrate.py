@@ -1,16 +1,20 @@
-"""``thermacq calibrate``: make calibrations. ``calibrate SOURCE`` is short for ``calibrate cameras SOURCE``."""
+"""``thermacq calibrate``: make calibrations. ``calibrate SOURCE`` is short for ``calibrate cameras SOURCE``.
+
+``calibrate RIG --record RUN`` is short for ``calibrate live RIG --record RUN``.
+"""
 
 from __future__ import annotations
 
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from thermacq.cli import calibrate_probe
+from thermacq.cli import calibrate_live, calibrate_probe
 from thermacq.cli.calibration import AsJson, Output, refuse_existing, write_report
 from thermacq.cli.calibration_tables import advise, record_values, show_record
 from thermacq.cli.common import err, out, print_json
@@ -23,18 +27,29 @@ if TYPE_CHECKING:
     from thermacq_calibration import Board, StereoCalibration, View
 
 
+class BoardName(StrEnum):
+    """The kinds of boards; spelt here too, so that the command line need not wait for numpy."""
+
+    CHESSBOARD = "chessboard"
+    CIRCLES = "circles"
+    CHARUCO = "charuco"
+    MARKED = "marked"
+
+
 class CamerasFirst(TyperGroup):
     """Lets ``calibrate SOURCE ...`` stand for ``calibrate cameras SOURCE ...``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Anything that is neither a command of the group nor a call for help goes to ``cameras``."""
         known = not args or args[0] in self.commands or args[0] == "--help"
-        return super().parse_args(ctx, args if known else ["cameras", *args])
+        command = "live" if "--record" in args else "cameras"
+        return super().parse_args(ctx, args if known else [command, *args])
 
 
 app = typer.Typer(cls=CamerasFirst, no_args_is_help=True)
 
 
+app.command("live")(calibrate_live.live)
 app.command("probe")(calibrate_probe.probe)
 app.command("probe-drift")(calibrate_probe.probe_drift)
 
@@ -56,6 +71,14 @@ def cameras(
     columns: Annotated[int | None, typer.Option(min=3, help="Inner corners along the board.")] = None,
     rows: Annotated[int | None, typer.Option(min=3, help="Inner corners across the board.")] = None,
     square_m: Annotated[float | None, typer.Option(help="Side of a square, metres.")] = None,
+    kind: Annotated[
+        BoardName | None,
+        typer.Option("--board", help="What the board looks like; default: the rig's, else a chessboard."),
+    ] = None,
+    marker_m: Annotated[float | None, typer.Option(help="Side of the border of its markers, metres.")] = None,
+    dictionary: Annotated[
+        str | None, typer.Option(help="OpenCV dictionary of its markers, or rows of bits: 011/110/010.")
+    ] = None,
     left: Annotated[str, typer.Option(help="Pattern of the left pictures, in quotes: 'a/l*.png'.")] = "",
     right: Annotated[str, typer.Option(help="Pattern of the right pictures.")] = "",
     frames_per_view: Annotated[
@@ -91,7 +114,8 @@ def cameras(
     if bool(left) != bool(right) or bool(left) == bool(sources):
         raise typer.BadParameter("give a SOURCE, or both --left and --right")
     judged = {"replicates": bootstrap, "working_distance_m": working_distance_m}
-    board = _board(sources or [], columns, rows, square_m)
+    given = {"columns": columns, "rows": rows, "square_m": square_m, "kind": kind, "marker_m": marker_m}
+    board = _board(sources or [], {**given, "dictionary": dictionary})
     source = " ".join(map(str, sources)) if sources else f"{left} {right}"
     with _views(sources or [], left, right, frames_per_view, pair) as pictures:
         calibration = _calibrate(pictures, board, source, as_json, **judged)
@@ -192,12 +216,7 @@ def _require_pairs(pictures: Sequence[PictureView], views: Sequence[View], board
 
     found = sum(isinstance(side, Detection) for view in views for side in (view.left, view.right))
     looked_at = sum(side is not None for picture in pictures for side in (picture.left, picture.right))
-    nothing = (
-        ""
-        if found
-        else f"no plain chessboard of {board.columns} x {board.rows} inner corners was found in any of the "
-        f"{looked_at} pictures"
-    )
+    nothing = "" if found else f"no {_named(board)} was found in any of the {looked_at} pictures"
     if not any(picture.left and picture.right for picture in pictures):
         alone = "no picture has a partner from the other camera, and a stereo calibration needs pairs"
         raise CalibrationError(
@@ -206,6 +225,19 @@ def _require_pairs(pictures: Sequence[PictureView], views: Sequence[View], board
         )
     if nothing:
         raise CalibrationError(nothing, remedy=_miscount(pictures, board))
+
+
+def _named(board: Board) -> str:
+    from thermacq_calibration import BoardKind
+
+    if board.kind is BoardKind.CIRCLES:
+        return f"asymmetric grid of {board.columns} x {board.rows} circles"
+    names = {
+        BoardKind.CHESSBOARD: "plain chessboard",
+        BoardKind.CHARUCO: f"ChArUco board ({board.dictionary})",
+        BoardKind.MARKED: f"chessboard with the marker {board.dictionary} in its middle",
+    }
+    return f"{names[board.kind]} of {board.columns} x {board.rows} inner corners"
 
 
 def _miscount(pictures: Sequence[PictureView], board: Board) -> str:
@@ -221,24 +253,29 @@ def _miscount(pictures: Sequence[PictureView], board: Board) -> str:
         if sizes:
             columns, rows = sizes[0]
             return f"A board of {columns} x {rows} inner corners is there: count corners, not squares."
-    return "Check --columns and --rows (inner corners, not squares), focus, and the contrast of the board."
+    return (
+        "Check --columns and --rows (inner corners, not squares), focus, and the contrast of the board. Boards "
+        "with markers or circles want --board; a marker in the middle of a chessboard hides it from plain search."
+    )
 
 
-def _board(sources: Sequence[Path], columns: int | None, rows: int | None, square_m: float | None) -> Board:
+def _board(sources: Sequence[Path], options: dict[str, Any]) -> Board:
     """The board of the command line, completed from the rig of a run file."""
-    from thermacq.reconstruction.views import is_run
+    from thermacq.reconstruction.views import board_of, is_run
     from thermacq.store import open_run
-    from thermacq_calibration import Board
+    from thermacq_calibration import Board, BoardKind
 
-    if columns is not None and rows is not None and square_m is not None:
-        return Board(columns, rows, square_m)
+    given = {name: value for name, value in options.items() if value is not None}
+    if "kind" in given:
+        given["kind"] = BoardKind(given["kind"])
     if is_run(sources):
         with open_run(sources[0]) as run:
-            known = run.rig.board
-        return Board(columns or known.columns, rows or known.rows, square_m or known.square_m)
-    raise typer.BadParameter(
-        "pictures do not say which board they show: give --columns, --rows and --square-m"
-    )
+            return replace(board_of(run.rig), **given)
+    if not {"columns", "rows", "square_m"} <= given.keys():
+        raise typer.BadParameter(
+            "pictures do not say which board they show: give --columns, --rows and --square-m"
+        )
+    return Board(**given)
 
 
 def _globbed(left: str, right: str) -> list[PictureView]:

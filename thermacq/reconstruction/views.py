@@ -1,4 +1,4 @@
-"""Views of the chessboard, from a folder, from files, or from a run: what calibration starts from.
+"""Views of the calibration board, from a folder, from files, or from a run: what calibration starts from.
 
 A view is one pose of the board with a picture from each camera. Pictures are read only when they are
 looked at, so that a long recording never stands in memory.
@@ -20,8 +20,18 @@ from numpy.typing import NDArray
 
 from thermacq.errors import ImportDataError, ReconstructionError
 from thermacq.reconstruction.pairs import camera_serials, run_pairs
+from thermacq.rig import Rig
 from thermacq.store import RunFile, open_run
-from thermacq_calibration import FRAMES_TO_AVERAGE, Board, Detection, NoBoard, View, average, detect_board
+from thermacq_calibration import (
+    FRAMES_TO_AVERAGE,
+    Board,
+    BoardKind,
+    Detection,
+    NoBoard,
+    View,
+    average,
+    detect_board,
+)
 from thermacq_calibration.poses import changes, still_stretches
 
 Picture: TypeAlias = NDArray[Any]
@@ -70,6 +80,13 @@ def open_views(
 def is_run(sources: Sequence[Path]) -> bool:
     """Whether the sources are one run file."""
     return len(sources) == 1 and sources[0].is_file() and not is_picture(sources[0])
+
+
+def board_of(rig: Rig) -> Board:
+    """The board that a rig names."""
+    table = rig.board
+    kind = BoardKind(table.kind)
+    return Board(table.columns, table.rows, table.square_m, kind, table.marker_m, table.dictionary)
 
 
 def serials_of(sources: Sequence[Path], pair: str | None = None) -> tuple[str, str] | None:
@@ -181,8 +198,8 @@ def views_from_run(
     return [
         PictureView(
             f"{stretch[0]}-{stretch[-1]}",
-            _run_loader(run, pairs.left_camera, pairs.left[_middle(stretch)]),
-            _run_loader(run, pairs.right_camera, pairs.right[_middle(stretch)]),
+            _run_loader(run, pairs.left_camera, pairs.left[middle_of(stretch)]),
+            _run_loader(run, pairs.right_camera, pairs.right[middle_of(stretch)]),
         )
         for stretch in stretches
     ]
@@ -312,7 +329,7 @@ def _run_loader(run: RunFile, camera: str, frames: NDArray[np.intp]) -> Load:
     return lambda: average(np.stack([run.counts(camera, int(index)) for index in frames]))
 
 
-def _middle(stretch: range) -> slice:
+def middle_of(stretch: range) -> slice:
     """The middle of a stretch, as many frames as are averaged: its ends may still be moving."""
     spare = max(0, len(stretch) - FRAMES_TO_AVERAGE)
     first = stretch[0] + spare // 2

@@ -86,11 +86,19 @@ class TriggerSourceTable(_Table):
 
 
 class BoardTable(_Table):
-    """The calibration chessboard: inner corners and size of a square."""
+    """The calibration target: most often a chessboard, its inner corners and the size of a square."""
 
-    columns: int = Field(9, ge=3)
-    rows: int = Field(6, ge=3)
-    square_m: float = Field(0.05, gt=0, lt=1, description="side of a square, metres")
+    kind: Literal["chessboard", "circles", "charuco", "marked"] = Field(
+        "chessboard",
+        description="asymmetric circles; ChArUco; 'marked': a chessboard with one large marker in its middle",
+    )
+    columns: int = Field(9, ge=3, description="inner corners along, or circles in a row")
+    rows: int = Field(6, ge=3, description="inner corners across, or rows of circles")
+    square_m: float = Field(
+        0.05, gt=0, lt=1, description="side of a square; of circles: distance of rows; metres"
+    )
+    marker_m: float = Field(0.0, ge=0, lt=1, description="side of the black border of its markers, metres")
+    dictionary: str = Field("", description="of its markers, e.g. DICT_4X4_50; or the bits of the one marker")
 
 
 class WorldTable(_Table):
