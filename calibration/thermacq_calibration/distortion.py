@@ -4,7 +4,8 @@ Each candidate is fitted to four fifths of the views; in the others only the pos
 reprojection error that remains is the score. Of all candidates the simplest is taken whose mean squared error
 exceeds the best one's by no more than one standard error of that difference between views (the one-standard-error
 rule of Hastie, Tibshirani and Friedman, "The elements of statistical learning", section 7.10, on paired
-differences: all candidates are tried on the same views).
+differences: all candidates are tried on the same views). A candidate of which the views leave a coefficient open
+(the rational model of a lens that distorts little) is not taken.
 """
 
 from __future__ import annotations
@@ -14,7 +15,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermacq_calibration.bundle import CAMERA_PARAMETERS, PARAMETERS, Corners, Fit, Flags, fit, fit_poses
+from thermacq_calibration.bundle import (
+    CAMERA_PARAMETERS,
+    PARAMETERS,
+    Corners,
+    Fit,
+    Flags,
+    covariance,
+    fit,
+    fit_poses,
+)
+from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.models import Float
 
 # Free coefficients of each candidate, the simplest first; k1 to k3 and p1, p2 are Brown and Conrady's,
@@ -45,12 +56,15 @@ class Score:
         Reprojection error on held-out views, over both pictures.
     excess_px2, excess_se_px2
         Mean squared error above that of the best candidate, and the standard error of this difference.
+    determined
+        Whether the views determine all of its coefficients; if not, it is not taken.
     """
 
     model: str
     held_out_rms_px: float
     excess_px2: float
     excess_se_px2: float
+    determined: bool
 
 
 def free_parameters(model: str) -> Flags:
@@ -87,15 +101,31 @@ def choose(found: Fit, corners: Corners) -> tuple[str, tuple[Score, ...]]:
         Name of the choice.
     scores : tuple of Score
         All candidates, the simplest first.
+
+    Raises
+    ------
+    CalibrationError
+        The views determine no candidate.
     """
-    squares = {model: _held_out_squares(refit(found, corners, model), corners) for model in CANDIDATES}
-    best = min(squares, key=lambda model: float(squares[model].mean()))
+    fits = {model: refit(found, corners, model) for model in CANDIDATES}
+    determined = {model: covariance(one, corners) is not None for model, one in fits.items()}
+    if not any(determined.values()):
+        raise CalibrationError(
+            "the views do not determine the geometry of the cameras",
+            remedy="Tilt the board by 20 to 40 degrees about both axes, and show it all over the picture.",
+        )
+    squares = {model: _held_out_squares(one, corners) for model, one in fits.items()}
+    best = min(
+        (model for model in squares if determined[model]), key=lambda model: float(squares[model].mean())
+    )
     scores = []
     for model, errors in squares.items():
         excess = errors - squares[best]
-        standard_error = float(excess.std(ddof=1) / np.sqrt(excess.size))
-        scores.append(Score(model, float(np.sqrt(errors.mean())), float(excess.mean()), standard_error))
-    chosen = next(score.model for score in scores if score.excess_px2 <= score.excess_se_px2)
+        error = float(excess.std(ddof=1) / np.sqrt(excess.size))
+        rms = float(np.sqrt(errors.mean()))
+        scores.append(Score(model, rms, float(excess.mean()), error, determined[model]))
+    eligible = (score for score in scores if score.determined)
+    chosen = next(score.model for score in eligible if score.excess_px2 <= score.excess_se_px2)
     return chosen, tuple(scores)
 
 

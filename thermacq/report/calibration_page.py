@@ -152,7 +152,9 @@ def _scores(calibration: StereoCalibration) -> list[tuple[str, str, str, str]]:
             score["model"],
             f"{score['held_out_rms_px']:.4f} px",
             f"{score['excess_px2']:.2e} ± {score['excess_se_px2']:.1e} px²",
-            "chosen" if score["model"] == known["model"] else "",
+            "chosen"
+            if score["model"] == known["model"]
+            else ("" if score["determined"] else "not determined by these views"),
         )
         for score in known.get("scores") or []
     ]
