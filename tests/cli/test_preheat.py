@@ -53,7 +53,9 @@ def folder(tmp_path: Path):
     """Folder with a rig of two tiny cameras that warm up fast, and with scenes."""
     (tmp_path / "rig.toml").write_text(RIG + SIDE.format(side="left") + SIDE.format(side="right"))
     (tmp_path / "warm.toml").write_text(SCENE.format(rise=5.0))
-    (tmp_path / "hot.toml").write_text(SCENE.format(rise=40.0).replace("= 60.0\nhousing", "= 3000.0\nhousing"))
+    (tmp_path / "hot.toml").write_text(
+        SCENE.format(rise=40.0).replace("= 60.0\nhousing", "= 3000.0\nhousing")
+    )
     (tmp_path / "black.toml").write_text('view = "uniform"\n')
     return tmp_path
 
@@ -124,6 +126,7 @@ def test_an_override_is_logged_in_the_run_and_remembered(thermacq, folder: Path)
     )  # fmt: skip
     assert code == 0, err
     assert "override: the paint dries" in out
+    assert out.rstrip().endswith("go, by override")
     with open_run(folder / "run.h5") as run:
         notes = [event for event in run.events() if event.kind is EventKind.NOTE]
     assert notes[0].detail == "preheat override: the paint dries"

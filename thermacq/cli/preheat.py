@@ -191,7 +191,10 @@ def _tell(status: PreheatStatus, as_json: bool) -> None:
                 out.print(f"{name}: {_NAMES[one.name]}: {one.note}", markup=False)
     if status.override:
         out.print(f"override: {status.override}", markup=False)
-    out.print("[bold green]go[/]" if status.is_go else "[bold red]no-go[/]")
+    if status.is_go:
+        out.print("[bold green]go[/]" if status.is_ready else "[bold yellow]go, by override[/]")
+    else:
+        out.print("[bold red]no-go[/]")
 
 
 def _table(status: PreheatStatus) -> Table:
