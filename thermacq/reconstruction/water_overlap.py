@@ -29,6 +29,7 @@ _THIN = 3
 _LEAST_CELLS = 60
 _LEAST_CORRELATION = 0.7
 _BLOCK_M = 0.08
+_WORST_CONDITION = 1000.0
 _WORST_M, _WORST_DEG = 0.005, 1.0
 
 
@@ -195,6 +196,10 @@ def _fitted(pair: _Pair, start: Floats) -> tuple[Floats, Floats, float, float, i
     block = _blocks(pair.cells_m)[np.nonzero(known)[1]]
     residuals = residuals - rows @ step
     covariance = _jackknife(rows, others, residuals, block)[:3, :3]
+    normal = (others.T @ rows)[:3, :3]
+    scale = np.sqrt(np.abs(np.diag(normal))) + 1e-30
+    if np.linalg.cond(normal / np.outer(scale, scale)) > _WORST_CONDITION:
+        covariance = np.full((3, 3), np.inf)
     correlation = _correlation(pair.second, _seen(pair, pair.first, place))
     return place, covariance, float(residuals.std()), correlation, int(np.count_nonzero(known.any(axis=0)))
 
