@@ -58,6 +58,8 @@ class UsbPort:
         Serial number that the rig expects; empty accepts any, if there is only one.
     interfaces
         Interfaces to claim; a driver of the kernel that holds one is detached.
+    chosen
+        One of `find_devices`, instead of choosing by `serial`: for devices without serial number on USB.
 
     Raises
     ------
@@ -74,9 +76,10 @@ class UsbPort:
         ids: Sequence[tuple[int, int]],
         serial: str = "",
         interfaces: Sequence[int] = (0,),
+        chosen: Any = None,
     ) -> None:
         self._name = device
-        self.device = self._choose(find_devices(transports, ids), serial)
+        self.device = chosen or self._choose(find_devices(transports, ids), serial)
         with self._faults("open"):
             self.device.set_configuration()
         self._claim(interfaces)
@@ -151,6 +154,11 @@ class UsbPort:
         """Write in one transfer; returns how many bytes were taken."""
         with self._faults(stage):
             return int(self.device.write(endpoint, data, _ms(timeout_s)))
+
+    def select(self, interface: int, alternate: int, stage: str) -> None:
+        """Choose an alternate setting of a claimed interface."""
+        with self._faults(stage):
+            self.device.set_interface_altsetting(interface, alternate)
 
     def clear_halt(self, endpoint: int, stage: str) -> None:
         """Let a stalled endpoint go on."""
