@@ -6,6 +6,7 @@ driver code, with the same libraries (pyusb, pyserial, OpenCV), meets a real dev
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,13 +34,14 @@ class SerialNode:
 
 @dataclass(frozen=True)
 class VideoNode:
-    """A video device node: its path, and the USB device behind it."""
+    """A video device node: its path, and the USB device behind it; `location` is the socket, e.g. ``1-2.3``."""
 
     path: str
     vid: int = 0
     pid: int = 0
     serial: str = ""
     product: str = ""
+    location: str = ""
 
 
 class Video(Protocol):
@@ -112,6 +114,8 @@ class RealTransports:
 
     def open_video(self, path: str) -> Video:
         """See `Transports.open_video`."""
+        # Seconds that a read of a silent camera takes at most; OpenCV looks at it with the first read.
+        os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
         import cv2
 
         return cv2.VideoCapture(path, cv2.CAP_V4L2)
@@ -123,7 +127,8 @@ def _video_node(node: Path) -> VideoNode:
     for _ in range(_LEVELS):
         if (folder / "idVendor").is_file():
             vid, pid = int(_read(folder / "idVendor"), 16), int(_read(folder / "idProduct"), 16)
-            return VideoNode(path, vid, pid, _read(folder / "serial"), _read(folder / "product"))
+            serial, product = _read(folder / "serial"), _read(folder / "product")
+            return VideoNode(path, vid, pid, serial, product, folder.name)
         folder = folder.parent
     return VideoNode(path, product=_read(node / "name"))
 
