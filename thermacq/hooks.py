@@ -69,6 +69,8 @@ class Driver:
     faults
         Settings that make a simulated or emulated device act out a fault some frames (or blocks) after
         arming, e.g. ``{DeviceDisconnected: {"fail_at_frame": 5}}``; the conformance suite uses them.
+    usb_ids
+        (vid, pid) of the USB devices that it opens; ``thermacq doctor`` looks at their permissions.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Driver:
     settings: Callable[[], type[BaseModel]]
     discover: Callable[[Transports], Sequence[DeviceIdentity]] = _nothing_found
     faults: Mapping[type[DeviceFault], Settings] = field(default_factory=dict, hash=False)
+    usb_ids: Sequence[tuple[int, int]] = ()
 
 
 @dataclass(frozen=True)

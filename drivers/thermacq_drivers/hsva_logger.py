@@ -293,4 +293,5 @@ DRIVER = Driver(
     make=HsvaLogger,
     settings=lambda: HsvaSettings,
     discover=discover,
+    usb_ids=_IDS,
 )

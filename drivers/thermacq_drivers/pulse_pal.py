@@ -381,4 +381,5 @@ DRIVER = Driver(
     make=PulsePal,
     settings=lambda: PulsePalSettings,
     discover=discover,
+    usb_ids=(_IDS,),
 )

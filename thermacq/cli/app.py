@@ -17,6 +17,7 @@ from thermacq.cli import (
     correction,
     demo,
     devices,
+    doctor,
     evaluation,
     noise,
     preheat,
@@ -39,6 +40,7 @@ app = typer.Typer(
 app.command("demo")(demo.demo)
 app.command("plugins")(devices.plugins)
 app.command("devices")(devices.devices)
+app.command("doctor")(doctor.doctor)
 app.add_typer(rig.app, name="rig")
 app.command("record")(recording.record)
 app.command("status")(recording.status)

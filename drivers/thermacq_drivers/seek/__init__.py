@@ -35,4 +35,5 @@ DRIVER = Driver(
     make=_make,
     settings=_settings,
     discover=_discover,
+    usb_ids=((0x289D, 0x0010), (0x289D, 0x0011)),
 )
