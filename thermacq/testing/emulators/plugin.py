@@ -13,6 +13,7 @@ def thermacq_emulators() -> Sequence[Emulator]:
     from thermacq.testing.emulators import (
         hsva_logger,
         modbus_level,
+        p3,
         pulse_pal,
         seek,
         serial_ascii,
@@ -21,6 +22,7 @@ def thermacq_emulators() -> Sequence[Emulator]:
     modules = (
         hsva_logger,
         modbus_level,
+        p3,
         pulse_pal,
         seek,
         serial_ascii,
