@@ -36,24 +36,24 @@ def held(pair, wanted, random):
     raise AssertionError("no such pose")
 
 
-def views_needed(pair, poses, most=80):
+def views_needed(pair, poses, most=60):
     views = []
-    for count in range(1, most):
-        views.append(view(pair, poses(guidance(views, SIZE, pair.board).next_view)))
-        if guidance(views, SIZE, pair.board).enough:
-            return count
-    return most
+    judged = guidance(views, SIZE, pair.board)
+    while not judged.enough and len(views) < most:
+        views.append(view(pair, poses(judged.next_view)))
+        judged = guidance(views, SIZE, pair.board)
+    return len(views)
 
 
 @pytest.mark.slow
 def test_following_the_advice_needs_fewer_views_than_random_poses(pair):
-    seeds = range(3)
+    seeds = range(2)
     advised, free = [], []
     for seed in seeds:
-        random, poses = np.random.default_rng(seed), iter(pair.poses(80, seed=seed))
+        random, poses = np.random.default_rng(seed), iter(pair.poses(60, seed=seed))
         advised.append(views_needed(pair, lambda wanted, random=random: held(pair, wanted, random)))
         free.append(views_needed(pair, lambda _, poses=poses: next(poses)))
-    assert max(advised) < 60
+    assert max(advised) < 50
     assert sum(advised) < 0.8 * sum(free)
 
 
