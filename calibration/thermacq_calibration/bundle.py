@@ -217,9 +217,9 @@ def fit(
         step[free] = change
         further = geometry.moved(step)
         further_poses = _moved(poses, -(system.pose_step + system.pose_gain @ change))
-        tried = linearise(further, further_poses, corners, free)
-        new_cost = _cost(tried.errors_px, by_corner)
-        if np.isfinite(new_cost) and new_cost <= cost:
+        tried = _attempt(further, further_poses, corners, free)
+        new_cost = np.inf if tried is None else _cost(tried.errors_px, by_corner)
+        if tried is not None and new_cost <= cost:
             done = cost - new_cost <= _CONVERGED * cost
             geometry, poses, system, cost = further, further_poses, tried, new_cost
             damping = 0.0 if damping < 1e-6 else damping / 10
@@ -261,6 +261,15 @@ def covariance(found: Fit, corners: Corners) -> Float | None:
         return None
     variance = np.sum(found.errors_px**2) / max(1, degrees_of_freedom(corners, found.free))
     return np.asarray(variance * np.linalg.inv(normed) / np.outer(scale, scale))
+
+
+def _attempt(geometry: Geometry, poses: Poses, corners: Corners, free: Flags) -> System | None:
+    """The system after a step; None when the step leads where nothing can be projected."""
+    try:
+        system = linearise(geometry, poses, corners, free)
+    except np.linalg.LinAlgError:
+        return None
+    return system if np.isfinite(system.matrix).all() and np.isfinite(system.gradient).all() else None
 
 
 def _solve(system: System, weight: Float, damping: float) -> Float:

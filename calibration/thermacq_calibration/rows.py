@@ -24,12 +24,14 @@ MIN_MATCHES = 30
 MAX_ROWS_PX = 8.0
 # As the held-out rectified vertical RMS of an acceptable calibration.
 MAX_SYSTEMATIC_PX = 0.25
-_RATIO = 0.8
+_OUTLIER_SIGMAS = 4.0
+_RATIO = 0.75
 _WINDOW = (21, 21)
 # The refinement may not leave the place that the features gave.
 _MAX_REFINEMENT_PX = 3.0
 _FEATURES = 4000
-_CLAHE_TILES = (8, 8)
+# Texture coarser than this is taken away; contrast is evened out over that distance.
+_FINE_PX, _AROUND_PX = 25.0, 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,29 +159,43 @@ def row_agreement(differences: Sequence[RowDifferences], image_size: tuple[int, 
             f"only {rows.size} places of the pictures could be matched, {MIN_MATCHES} are needed",
             remedy="Use pictures with more texture: a wavy water surface, or the board.",
         )
+    kept = _plausible(places / image_size, rows)
+    places, rows, disparities = places[kept], rows[kept], disparities[kept]
     median = float(np.median(rows))
     mad = float(np.median(np.abs(rows - median)))
-    across, down = _trend(places / image_size, rows)
+    across, down = _trend(places / image_size, rows)[1:]
     return RowAgreement(
         int(rows.size),
         median,
         mad,
         # Median of normal errors: 1.25 standard errors of the mean.
         float(1.2533 * 1.4826 * mad / np.sqrt(rows.size)),
-        across,
-        down,
+        float(across),
+        float(down),
         (float(np.percentile(disparities, 5)), float(np.percentile(disparities, 95))),
     )
 
 
-def _trend(places: Float, rows: Float) -> tuple[float, float]:
-    """Slopes over the picture by least absolute deviations (reweighted least squares)."""
-    design = np.column_stack([np.ones(len(places)), places - 0.5])
+def _plausible(places: Float, rows: Float) -> NDArray[np.bool_]:
+    """Which matches lie near the trend of all; the others are mistaken."""
+    rest = rows - _design(places) @ _trend(places, rows)
+    return np.asarray(np.abs(rest) <= _OUTLIER_SIGMAS * 1.4826 * np.median(np.abs(rest)) + 1e-6)
+
+
+def _trend(places: Float, rows: Float) -> Float:
+    """Mean and slopes over the picture by least absolute deviations (reweighted least squares)."""
+    design = _design(places)
     weight = np.ones(len(places))
+    found: Float = np.zeros(3)
     for _ in range(30):
-        slopes = np.linalg.lstsq(design * weight[:, None], rows * weight, rcond=None)[0]
-        weight = 1 / np.sqrt(np.maximum(np.abs(rows - design @ slopes), 1e-3))
-    return float(slopes[1]), float(slopes[2])
+        solution = np.linalg.lstsq(design * weight[:, None], rows * weight, rcond=None)[0]
+        found = np.asarray(solution, np.float64)
+        weight = 1 / np.sqrt(np.maximum(np.abs(rows - design @ found), 1e-3))
+    return found
+
+
+def _design(places: Float) -> Float:
+    return np.column_stack([np.ones(len(places)), places - 0.5])
 
 
 def _mutual(first: NDArray[Any], second: NDArray[Any]) -> list[tuple[int, int]]:
@@ -200,7 +216,10 @@ def _mutual(first: NDArray[Any], second: NDArray[Any]) -> list[tuple[int, int]]:
 
 
 def _local_stretch(picture: NDArray[Any]) -> NDArray[np.uint8]:
-    """8 bit with even contrast everywhere; holes get the median."""
+    """8 bit with even contrast everywhere: less the mean nearby, over the mean deviation around; holes are grey.
+
+    Smooth weights, unlike the tiles of a local histogram, do not move texture.
+    """
     import cv2
 
     values = np.asarray(picture, np.float32)
@@ -209,7 +228,9 @@ def _local_stretch(picture: NDArray[Any]) -> NDArray[np.uint8]:
         raise CalibrationError(
             "a rectified picture is empty", remedy="Check that the calibration is of these cameras."
         )
-    low, high = np.percentile(values[finite], (0.5, 99.5))
     filled = np.where(finite, values, np.median(values[finite]))
-    grey = np.rint(np.clip((filled - low) / max(high - low, 1e-6), 0, 1) * 255).astype(np.uint8)
-    return np.asarray(cv2.createCLAHE(3.0, _CLAHE_TILES).apply(grey), np.uint8)
+    fine = filled - cv2.GaussianBlur(filled, (0, 0), _FINE_PX)
+    strength = cv2.GaussianBlur(np.abs(fine), (0, 0), _AROUND_PX)
+    # Weak places are not raised to the mean: what would show there is noise, and blocks of a compressed picture.
+    floor = max(float(strength.mean()), 1e-6)
+    return np.rint(np.clip(128 + 40 * fine / np.maximum(strength, floor), 0, 255)).astype(np.uint8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import io
 import json
 from pathlib import Path
@@ -224,3 +225,41 @@ def test_given_geometry_of_middlebury():
 def test_impossible_given_geometry_is_refused(focal, baseline):
     with pytest.raises(CalibrationError, match="positive"):
         StereoCalibration.from_rectified((640, 512), focal, None, baseline)
+
+
+def test_records_of_version_1_keep_their_hash():
+    content = {
+        "format": "thermacq-stereo-calibration",
+        "version": 1,
+        "image_size": [640, 512],
+        "left": {
+            "matrix": [[700.0, 0.0, 320.0], [0.0, 700.0, 256.0], [0.0, 0.0, 1.0]],
+            "distortion": [0.0] * 5,
+            "rms_px": 0.1,
+        },
+        "right": {
+            "matrix": [[700.0, 0.0, 320.0], [0.0, 700.0, 256.0], [0.0, 0.0, 1.0]],
+            "distortion": [0.1] * 5,
+            "rms_px": 0.1,
+        },
+        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        "translation_m": [-0.06, 0.0, 0.0],
+        "baseline_m": 0.06,
+        "rms_px": 0.12,
+        "vertical_rms_px": 0.1,
+        "held_out_vertical_rms_px": 0.1,
+        "coverage": [0.9, 0.8],
+        "board": {"columns": 9, "rows": 6, "square_m": 0.05},
+        "views": [],
+        "uncertainty": None,
+        "serials": None,
+        "source": "board.h5",
+        "created": "2026-01-01T00:00:00+00:00",
+    }
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    old = StereoCalibration.from_dict(
+        json.loads(text) | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
+    )
+    assert old.version == 1
+    assert old.poses is None
+    assert old.standard_uncertainty("baseline_m") is None

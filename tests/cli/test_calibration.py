@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -190,6 +191,121 @@ def test_show_refuses_an_altered_record(record, tmp_path, run):
     done = run("calibration", "show", altered)
     assert isinstance(done.exception, CalibrationError)
     assert "altered" in done.exception.what
+
+
+def test_a_report_can_be_written_at_once_and_later(folder, record, tmp_path, run):
+    done = run(
+        "calibrate",
+        folder,
+        *BOARD,
+        "-o",
+        tmp_path / "c.json",
+        "--bootstrap",
+        0,
+        "--report",
+        tmp_path / "c.html",
+    )
+    assert done.exit_code == 0
+    page = (tmp_path / "c.html").read_text()
+    assert "View 5, not used: right: no board" in page
+    assert page.count("data:image/jpeg") == 8
+    assert "Uncertainties are not known" in page
+    later = run("calibration", "report", record, "-o", tmp_path / "later.html")
+    assert later.exit_code == 0
+    assert "bootstrap over poses" in (tmp_path / "later.html").read_text()
+    again = run("calibration", "report", record, "-o", tmp_path / "later.html")
+    assert "exists already" in str(again.exception)
+
+
+def test_options_of_the_judgement_reach_the_record(folder, tmp_path, run):
+    options = ["--bootstrap", 10, "--working-distance-m", 0.8, "--counts-per-kelvin", 160]
+    done = run("calibrate", "cameras", folder, *BOARD, *options, "-o", tmp_path / "c.json", "--json")
+    values = json.loads(done.stdout)
+    assert (values["uncertainty"]["replicates"], values["uncertainty"]["working_distance_m"]) == (10, 0.8)
+    rows = {row["measure"]: row for row in values["acceptance"]["rows"]}
+    assert "depth-bias σ at 0.8 m" in rows
+    # The pictures have 800 counts between light and dark, less some blur.
+    assert rows["board contrast"]["verdict"] in {"pass", "excellent"}
+    assert float(rows["board contrast"]["value"].split()[0]) == pytest.approx(5.0, abs=0.6)
+
+
+def test_squares_in_millimetres_stop_before_the_work(folder, tmp_path, run):
+    board = ["--columns", "9", "--rows", "6", "--square-m", "50"]
+    done = run("calibrate", folder, *board, "-o", tmp_path / "c.json")
+    assert isinstance(done.exception, CalibrationError)
+    assert "wanted in metres" in done.exception.what
+    assert "give 0.05" in done.exception.remedy
+    assert not (tmp_path / "c.json").exists()
+
+
+def test_diff_shows_what_moved(record, tmp_path, run):
+    moved = load_calibration(record)
+    replace(moved, translation_m=moved.translation_m * 1.01).save(tmp_path / "moved.json")
+    done = run("calibration", "diff", record, tmp_path / "moved.json", "--json")
+    assert done.exit_code == 0
+    values = json.loads(done.stdout)
+    changes = {change["quantity"]: change for change in values["changes"]}
+    assert changes["baseline_m"]["second"] == pytest.approx(1.01 * changes["baseline_m"]["first"])
+    assert changes["baseline_m"]["in_sigmas"] > 1
+    assert values["difference"]["depth_m"] == pytest.approx(0.0065, rel=0.05)
+    text = run("calibration", "diff", record, tmp_path / "moved.json").stdout
+    assert "depth at the working distance differs by +6." in text
+    same = run("calibration", "diff", record, record).stdout
+    assert "projections differ by 0.000 px" in same
+
+
+@pytest.fixture
+def wavy(tmp_path, small_pair):
+    """A rectified pair of textured pictures with rows 0.6 px apart, and one with rows that agree."""
+    random = np.random.default_rng(0)
+    texture = cv2.GaussianBlur(random.normal(0, 1, (256, 340)), (0, 0), 2.5)
+    counts = 9000 + 700 * texture / texture.std()
+    rows, columns = np.mgrid[:256, :320].astype(np.float32)
+    for name, right, down in (("left", 12, 0.0), ("right", 0, 0.6), ("level", 0, 0.0)):
+        picture = cv2.remap(
+            counts.astype(np.float32), columns + right, rows - np.float32(down), cv2.INTER_CUBIC
+        )
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.clip(picture, 0, 65535).astype(np.uint16))
+    return tmp_path
+
+
+def test_check_of_rectified_pictures_reports_their_offset(wavy, run):
+    done = run("calibration", "check", "--rectified", wavy / "left.png", wavy / "right.png", "--json")
+    assert done.exit_code == 3
+    values = json.loads(done.stdout)
+    assert values["agreement"]["median_px"] == pytest.approx(-0.6, abs=0.05)
+    assert values["fits"] is False
+    level = run("calibration", "check", "--rectified", wavy / "left.png", wavy / "level.png")
+    assert level.exit_code == 0
+    assert "fits" in level.stdout
+
+
+def test_check_with_a_calibration_rectifies_first(wavy, record, tmp_path, run):
+    cal = tmp_path / "given.json"
+    run("calibration", "rectified", "--size", "320x256", "--focal-px", 350, "--baseline-m", 0.06, "-o", cal)
+    assert run("calibration", "check", cal, wavy / "left.png", wavy / "level.png").exit_code == 0
+    # The cameras of the record are turned against each other; these pictures are not.
+    assert run("calibration", "check", record, wavy / "left.png", wavy / "level.png").exit_code == 3
+
+
+def test_check_of_a_run_uses_its_own_calibration(measured_wave, run):
+    own = run("calibration", "check", measured_wave.run)
+    assert own.exit_code == 0, own.output
+    assert "temperature against the calibration is not known" in own.stdout
+    given = run("calibration", "check", measured_wave.calibration, measured_wave.run, "--json")
+    values = json.loads(given.stdout)
+    assert values["pairs"] == 8
+    assert abs(values["agreement"]["median_px"]) < 0.02
+    assert values["agreement"]["disparities_px"] == pytest.approx([24, 24], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "files", [["a.png"], ["cal.json", "a.png"], ["--rectified", "cal.json", "a.png", "b.png"]]
+)
+def test_check_wants_a_run_or_two_pictures(run, files):
+    done = run("calibration", "check", *files)
+    assert done.exit_code == 2
+    assert "give CAL RUN" in done.stderr
 
 
 def test_given_geometry_of_middlebury(tmp_path, run):
