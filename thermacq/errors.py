@@ -68,7 +68,7 @@ class DeviceFault(ThermacqError):
     stage
         The verb during which it happened: ``open``, ``configure``, ``arm``, ``acquire``, ...
     what
-        What happened.
+        What happened; kept as `reason`, while the attribute `what` names device and stage too.
     last_frame
         Index of the last good frame or sample, -1 before the first.
     kept, remedy
@@ -83,7 +83,7 @@ class DeviceFault(ThermacqError):
         self.device = device
         self.stage = stage
         self.last_frame = last_frame
-        self._reason = what
+        self.reason = what
 
     def __reduce__(self) -> tuple[object, ...]:
         """Faults cross process borders, so they must survive pickling."""
@@ -91,7 +91,7 @@ class DeviceFault(ThermacqError):
             type(self),
             self.device,
             self.stage,
-            self._reason,
+            self.reason,
             self.last_frame,
             self.kept,
             self.remedy,

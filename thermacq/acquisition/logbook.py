@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq.devices import SampleBlock, TriggerMode
+from thermacq.devices import FrameFlag, SampleBlock, TriggerMode
 from thermacq.store import CameraStream, FrameRow, ProbeStream
-from thermacq.timing import ClockModel, fit_clock, fit_clock_to_pulses, sync_report
+from thermacq.timing import DeviceTimes, fit_device_clock, sync_report
 
 _PULSES_REMEMBERED = 4096
 
@@ -21,9 +21,12 @@ class FrameLog:
 
     def __init__(self) -> None:
         self._words = array("q")
+        self.restarts_ns: list[int] = []
 
     def note(self, row: FrameRow) -> None:
-        """Remember a frame."""
+        """Remember a frame, and whether the camera's clock began anew with it."""
+        if row.flags & FrameFlag.RESTARTED:
+            self.restarts_ns.append(row.host_ns)
         self._words.extend((row.trigger_index, row.trigger_ns, row.ticks, row.host_ns))
 
     def _column(self, column: int) -> NDArray[np.int64]:
@@ -57,6 +60,7 @@ class ProbeLog:
         self._ticks = array("q")
         self._host_ns = array("q")
         self._pulses = array("q")
+        self.restarts_ns: list[int] = []
 
     def note(self, block: SampleBlock) -> None:
         """Remember a block."""
@@ -65,12 +69,18 @@ class ProbeLog:
             self._host_ns.append(block.host_ns)
         self._pulses.extend(block.pulse_ticks.tolist())
 
-    def clock(self, tick_rate_hz: float, trigger_ns: NDArray[np.int64]) -> ClockModel | None:
+    def clock(self, tick_rate_hz: float, trigger_ns: NDArray[np.int64]) -> DeviceTimes | None:
         """Model of the probe's clock: from its pulses if it stamped any, else from receipt times."""
         if not self._ticks or tick_rate_hz <= 0:
             return None
-        receipt = fit_clock(np.array(self._ticks), np.array(self._host_ns), tick_rate_hz)
-        return fit_clock_to_pulses(np.array(self._pulses), trigger_ns, receipt) or receipt
+        return fit_device_clock(
+            np.array(self._ticks),
+            np.array(self._host_ns),
+            tick_rate_hz,
+            self.restarts_ns,
+            np.array(self._pulses, np.int64),
+            trigger_ns,
+        )
 
 
 class PulseLog:
@@ -98,13 +108,13 @@ class PulseLog:
         return np.array(self._host_ns, np.int64)
 
 
-def camera_clock(stream: CameraStream, log: FrameLog) -> ClockModel | None:
+def camera_clock(stream: CameraStream, log: FrameLog) -> DeviceTimes | None:
     """Model of a camera's clock from the receipt times of its frames."""
     rate_hz = float(stream.capabilities.get("tick_rate_hz", 0.0))
     known = log.ticks >= 0
     if rate_hz <= 0 or not known.any():
         return None
-    return fit_clock(log.ticks[known], log.host_ns[known], rate_hz)
+    return fit_device_clock(log.ticks[known], log.host_ns[known], rate_hz, log.restarts_ns)
 
 
 def fired_triggers(cameras: Mapping[str, FrameLog], pulses: PulseLog) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ import numpy as np
 from thermacq.errors import StoreError
 from thermacq.evaluation.series import Series, WaveError, prepare
 from thermacq.evaluation.waves import single_waves
-from thermacq.timing import NS_PER_S, ClockModel, fit_clock, fit_clock_to_pulses
+from thermacq.timing import NS_PER_S, DeviceTimes, fit_clock, fit_device_clock, fit_stretches
 
 if TYPE_CHECKING:
     from thermacq.store import ProbeSamples, RunFile
@@ -53,7 +53,7 @@ class ProbeRecord:
     zero_source: str
     coefficient_m_per_unit: float
     coefficient_u_rel: float
-    clock: ClockModel
+    clock: DeviceTimes
     lost_samples: int
 
 
@@ -90,7 +90,7 @@ def probe_record(run: RunFile, name: str) -> ProbeRecord:
     raw = samples.values[:, samples.channels.index(channel)]
     clock = probe_clock(samples, _fired_triggers(run))
     stamps = samples.ticks if samples.tick_rate_hz > 0 else samples.index
-    time_s = (clock.to_host_ns(stamps) - run.header.host_anchor_ns) / NS_PER_S
+    time_s = (clock.times_of(stamps, samples.host_ns) - run.header.host_anchor_ns) / NS_PER_S
     zero, source = (table.zero_raw, "rig") if table.zero_raw is not None else still_level(time_s, raw)
     return ProbeRecord(
         name=name,
@@ -109,7 +109,7 @@ def probe_record(run: RunFile, name: str) -> ProbeRecord:
     )
 
 
-def probe_clock(samples: ProbeSamples, trigger_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> ClockModel:
+def probe_clock(samples: ProbeSamples, trigger_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> DeviceTimes:
     """Clock model of a probe: from the cameras' pulses that it stamped, else from the times of receipt.
 
     Parameters
@@ -128,16 +128,36 @@ def probe_clock(samples: ProbeSamples, trigger_ns: np.ndarray[tuple[int], np.dty
     last = np.append(samples.host_ns[1:] != samples.host_ns[:-1], True)
     host_ns = samples.host_ns[last]
     if samples.tick_rate_hz > 0:
-        receipt = fit_clock(samples.ticks[last], host_ns, samples.tick_rate_hz)
-        return fit_clock_to_pulses(samples.pulse_ticks, trigger_ns, receipt) or receipt
+        return fit_device_clock(
+            samples.ticks[last],
+            host_ns,
+            samples.tick_rate_hz,
+            samples.restarts_ns,
+            samples.pulse_ticks,
+            trigger_ns,
+        )
     index = samples.index[last]
-    seconds = float(host_ns[-1] - host_ns[0]) / NS_PER_S
+    restarts_ns = np.unique(np.array(samples.restarts_ns, np.int64))
+    rate_hz = _sample_rate(index, host_ns, restarts_ns)
+    return fit_stretches(
+        restarts_ns, host_ns, lambda points, _: fit_clock(index[points], host_ns[points], rate_hz)
+    )
+
+
+def _sample_rate(
+    index: np.ndarray[tuple[int], np.dtype[np.int64]],
+    host_ns: np.ndarray[tuple[int], np.dtype[np.int64]],
+    restarts_ns: np.ndarray[tuple[int], np.dtype[np.int64]],
+) -> float:
+    """Samples per second while the probe was there; raises `StoreError` when that cannot be known."""
+    there = np.diff(np.searchsorted(restarts_ns, host_ns, side="right")) == 0
+    seconds = float(np.sum(np.diff(host_ns)[there])) / NS_PER_S
     if seconds <= 0:
         raise StoreError(
             "the probe's samples carry no times and came in one block: their rate is unknown",
             remedy="Record for longer, or use a driver that stamps its samples.",
         )
-    return fit_clock(index, host_ns, float(index[-1] - index[0]) / seconds)
+    return float(np.sum(np.diff(index)[there])) / seconds
 
 
 def still_level(time_s: Series, raw: Series) -> tuple[float, str]:

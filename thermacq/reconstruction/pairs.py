@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from thermacq.devices import FrameFlag
 from thermacq.errors import ReconstructionError
-from thermacq.store import RunFile
-from thermacq.timing import NS_PER_S, ClockModel, fit_clock, pair_frames
+from thermacq.store import FrameTable, RunFile
+from thermacq.timing import NS_PER_S, DeviceTimes, fit_device_clock, pair_frames
 from thermacq_calibration import StereoCalibration, load_calibration
 
 
@@ -109,9 +109,7 @@ def run_pairs(run: RunFile, pair: str | None = None) -> RunPairs:
     """
     names = camera_sides(run, pair)
     tables = [run.frames(name) for name in names]
-    clocks = [
-        _clock(run, name, table.ticks, table.host_ns) for name, table in zip(names, tables, strict=True)
-    ]
+    clocks = [_clock(run, name, table) for name, table in zip(names, tables, strict=True)]
     pairs = pair_frames(tables[0], tables[1], clocks[0], clocks[1])
     if pairs.left.size == 0:
         counts = ", ".join(
@@ -210,11 +208,9 @@ def _check_serials(run: RunFile, calibration: StereoCalibration, pair: str | Non
     )
 
 
-def _clock(
-    run: RunFile, camera: str, ticks: NDArray[np.int64], host_ns: NDArray[np.int64]
-) -> ClockModel | None:
+def _clock(run: RunFile, camera: str, table: FrameTable) -> DeviceTimes | None:
     rate_hz = float(run.camera(camera).capabilities.get("tick_rate_hz") or 0.0)
-    known = ticks >= 0
+    known = table.ticks >= 0
     if rate_hz <= 0 or not known.any():
         return None
-    return fit_clock(ticks[known], host_ns[known], rate_hz)
+    return fit_device_clock(table.ticks[known], table.host_ns[known], rate_hz, table.restarts_ns)

@@ -189,6 +189,7 @@ class RunFile:
     def probe(self, name: str) -> ProbeSamples:
         """All committed samples of a probe."""
         found = self._probe(name)
+        restarts = (event for event in self.events() if event.kind is EventKind.RECONNECTED)
         with untrusted.explained(self.path):
             return ProbeSamples(
                 values=found.table.read("value"),
@@ -199,6 +200,7 @@ class RunFile:
                 channels=found.stream.channels,
                 unit=found.stream.unit,
                 tick_rate_hz=found.stream.tick_rate_hz,
+                restarts_ns=tuple(event.host_ns for event in restarts if event.device == name),
             )
 
     def events(self) -> list[Event]:

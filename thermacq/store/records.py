@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from thermacq.devices import FrameFlag
+
 
 class EventKind(StrEnum):
     """What can happen during a recording; every loss has its cause here."""
@@ -20,6 +22,7 @@ class EventKind(StrEnum):
     OVERRUN = "overrun"
     DISCONNECTED = "disconnected"
     TIMEOUT = "timeout"
+    RECONNECTED = "reconnected"
     SHUTTER = "shutter"
     PROBE_GAP = "probe_gap"
     WRITER_LATE = "writer_late"
@@ -37,6 +40,7 @@ LOSS_KINDS = frozenset(
         EventKind.OVERRUN,
         EventKind.PROBE_GAP,
         EventKind.WRITER_LATE,
+        EventKind.RECONNECTED,
     }
 )
 """Events that explain why frames or samples are missing."""
@@ -158,7 +162,8 @@ class FrameTable:
     """One row per committed frame of a camera; every array is (frames,).
 
     `sequence_number` is the counter without its wraps, or the row where the device has no counter;
-    a step greater than 1 means lost frames. `crc32` is that of the raw counts. Seconds of the
+    a step greater than 1 means lost frames. After the camera was away (flag 4) it goes on by 1; the event
+    ``reconnected`` tells how many frames are missing there. `crc32` is that of the raw counts. Seconds of the
     recording are ``(ns - header.host_anchor_ns) / 1e9``.
     """
 
@@ -171,6 +176,12 @@ class FrameTable:
     flags: NDArray[np.uint32]
     fpa_temperature_k: NDArray[np.float64]
     crc32: NDArray[np.uint32]
+
+    @property
+    def restarts_ns(self) -> NDArray[np.int64]:
+        """(restarts,) host times from which counter and ticks count anew, because the camera had been away."""
+        restarted: NDArray[np.int64] = self.host_ns[(self.flags & FrameFlag.RESTARTED) != 0]
+        return restarted
 
     def __len__(self) -> int:
         return len(self.counter)
@@ -187,13 +198,16 @@ class ProbeSamples:
     ticks
         (samples,) int64, device clock.
     index
-        (samples,) int64, the device's own count; a step greater than 1 means lost samples.
+        (samples,) int64, the device's own count; a step greater than 1 means lost samples. After the probe
+        was away it goes on by 1.
     host_ns
         (samples,) int64, host time at which the block of the sample was received.
     pulse_ticks
         (pulses,) int64, device clock at the cameras' trigger pulses.
     channels, unit, tick_rate_hz
         As in `ProbeStream`.
+    restarts_ns
+        Host times from which the device clock counts anew, because the probe had been away.
     """
 
     values: NDArray[np.float64]
@@ -204,6 +218,7 @@ class ProbeSamples:
     channels: tuple[str, ...]
     unit: str
     tick_rate_hz: float
+    restarts_ns: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.ticks)

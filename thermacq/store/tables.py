@@ -55,10 +55,15 @@ class CameraSink:
         self._last_counter = -1
         self._sequence = 0
 
-    def next_sequence_number(self, counter: int) -> int:
-        """Counter without its wraps; a step back of less than half the range stays a step back."""
+    def next_sequence_number(self, counter: int, restarted: bool) -> int:
+        """Counter without its wraps; a step back of less than half the range stays a step back.
+
+        A counter that began anew, because the camera had been away, goes on from the last number.
+        """
         if counter < 0:
             self._sequence = self.table.rows
+        elif restarted and self.table.rows:
+            self._sequence += 1
         elif self._last_counter < 0 or self._counter_bits == 0:
             self._sequence = counter
         else:

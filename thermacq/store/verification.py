@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from thermacq.errors import StoreError
 from thermacq.store.codec import frame_crc32
 from thermacq.store.reader import RunFile, open_run
-from thermacq.store.records import LOSS_KINDS
+from thermacq.store.records import LOSS_KINDS, FrameTable, ProbeSamples
 
 Progress = Callable[[int, int], None]
 """Told the number of frames done and to do."""
@@ -119,7 +119,8 @@ def _check_rows(run: RunFile, camera: str, report: VerifyReport, losses: set[str
     triggers = table.trigger_index[table.trigger_index >= 0]
     _check_steps(report, camera, "trigger index", triggers, camera in losses)
     _check_order(report, camera, "host times", table.host_ns)
-    _check_order(report, camera, "device times", table.ticks[table.ticks >= 0])
+    known = table.ticks >= 0
+    _check_order(report, camera, "device times", table.ticks[known], _begins(table, table.host_ns[known]))
 
 
 def _check_samples(run: RunFile, probe: str, report: VerifyReport, losses: set[str]) -> None:
@@ -131,8 +132,12 @@ def _check_samples(run: RunFile, probe: str, report: VerifyReport, losses: set[s
     report.samples[probe] = len(samples)
     _check_steps(report, probe, "sample count", samples.index, probe in losses)
     _check_order(report, probe, "host times", samples.host_ns)
-    _check_order(report, probe, "device times", samples.ticks[samples.ticks >= 0])
-    _check_order(report, probe, "trigger pulse times", samples.pulse_ticks)
+    known = samples.ticks >= 0
+    begins = _begins(samples, samples.host_ns[known])
+    _check_order(report, probe, "device times", samples.ticks[known], begins)
+    # Pulses have no time of receipt; they may go back as often as the probe began anew.
+    back = np.flatnonzero(np.diff(samples.pulse_ticks) < 0)[: len(samples.restarts_ns)] + 1
+    _check_order(report, probe, "trigger pulse times", samples.pulse_ticks, back)
     if bad := int(np.count_nonzero(~np.isfinite(samples.values))):
         report.findings.append(Finding(probe, f"{bad} values are not numbers"))
 
@@ -152,8 +157,23 @@ def _check_steps(
         report.findings.append(Finding(where, f"{what}: stands still or goes back {back} times"))
 
 
-def _check_order(report: VerifyReport, where: str, what: str, times: NDArray[np.int64]) -> None:
-    if back := int(np.count_nonzero(times[1:] < times[:-1])):
+def _begins(device: FrameTable | ProbeSamples, host_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Rows with which the device counts anew, among those with these times of receipt."""
+    return np.searchsorted(host_ns, np.array(device.restarts_ns, np.int64))
+
+
+def _check_order(
+    report: VerifyReport,
+    where: str,
+    what: str,
+    times: NDArray[np.int64],
+    begins: NDArray[np.intp] | None = None,
+) -> None:
+    """Times must not go back, but at the rows with which the device counts anew."""
+    is_back = times[1:] < times[:-1]
+    if begins is not None:
+        is_back[begins[(begins > 0) & (begins < times.size)] - 1] = False
+    if back := int(np.count_nonzero(is_back)):
         report.findings.append(Finding(where, f"{what}: go back {back} times"))
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq.devices import Counts
+from thermacq.devices import Counts, FrameFlag
 from thermacq.errors import StoreError
 from thermacq.rig import StoreTable
 from thermacq.store import layout, operations
@@ -157,7 +157,7 @@ class RunWriter:
         moment_ns = row.trigger_ns if row.trigger_ns >= 0 else row.host_ns
         table.append(
             row.counter,
-            target.next_sequence_number(row.counter),
+            target.next_sequence_number(row.counter, bool(row.flags & FrameFlag.RESTARTED)),
             row.ticks,
             row.host_ns,
             row.trigger_index,

@@ -8,18 +8,23 @@ from thermacq.timing.counters import lost_between, unwrap_counter
 from thermacq.timing.models import ClockModel, fit_clock, fit_clock_to_pulses
 from thermacq.timing.pairing import FrameTimes, Pairs, frame_times_ns, pair_frames
 from thermacq.timing.report import skew_figures, sync_report
+from thermacq.timing.restarts import DeviceTimes, RestartedClock, fit_device_clock, fit_stretches
 
 __all__ = [
     "NS_PER_S",
     "Clock",
     "ClockModel",
     "ClockSettings",
+    "DeviceTimes",
     "FrameTimes",
     "Pairs",
     "RealClock",
+    "RestartedClock",
     "VirtualClock",
     "fit_clock",
     "fit_clock_to_pulses",
+    "fit_device_clock",
+    "fit_stretches",
     "frame_times_ns",
     "lost_between",
     "make_clock",

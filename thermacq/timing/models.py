@@ -3,7 +3,8 @@
 A device clock has an offset and a drift against the host. Two kinds of evidence exist: trigger pulses that
 the device stamped itself and whose host time is known (exact on both sides), and the host times at which
 its data was received, which are only ever late. `fit_clock_to_pulses` uses the first, `fit_clock` the
-second.
+second. A device that was unplugged and came back counts anew: its clock is never fitted across that
+(`thermacq.timing.restarts`).
 """
 
 from __future__ import annotations
@@ -69,6 +70,11 @@ class ClockModel:
         since = np.asarray(ticks, np.int64) - self.reference_ticks
         elapsed: NDArray[np.int64] = np.rint(since * self.ns_per_tick).astype(np.int64)
         return self.reference_ns + elapsed
+
+    def times_of(self, ticks: ArrayLike, received_ns: ArrayLike) -> NDArray[np.int64]:
+        """As `to_host_ns`; for a clock that was never restarted, times of receipt tell nothing more."""
+        del received_ns
+        return self.to_host_ns(ticks)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a summary, offset and drift included."""

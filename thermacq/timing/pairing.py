@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq.timing.models import ClockModel
+from thermacq.timing.restarts import DeviceTimes
 
 Indices = NDArray[np.intp]
 Times = NDArray[np.int64]
@@ -75,8 +75,8 @@ class Pairs:
 def pair_frames(
     left: FrameTimes,
     right: FrameTimes,
-    left_clock: ClockModel | None = None,
-    right_clock: ClockModel | None = None,
+    left_clock: DeviceTimes | None = None,
+    right_clock: DeviceTimes | None = None,
     tolerance_ns: int | None = None,
 ) -> Pairs:
     """Pair the frames of two cameras.
@@ -113,12 +113,12 @@ def pair_frames(
     )
 
 
-def frame_times_ns(frames: FrameTimes, clock: ClockModel | None = None) -> Times:
+def frame_times_ns(frames: FrameTimes, clock: DeviceTimes | None = None) -> Times:
     """Best known host time of each frame: its trigger, else its device time, else its receipt."""
     times = np.array(frames.host_ns, np.int64)
     if clock is not None:
         ticked = frames.ticks >= 0
-        times[ticked] = clock.to_host_ns(frames.ticks[ticked])
+        times[ticked] = clock.times_of(frames.ticks[ticked], frames.host_ns[ticked])
     triggered = frames.trigger_ns >= 0
     times[triggered] = frames.trigger_ns[triggered]
     return times
@@ -136,13 +136,14 @@ def _by_index(left: Times, right: Times) -> tuple[Indices, Indices]:
 def _by_time(
     left: FrameTimes,
     right: FrameTimes,
-    left_clock: ClockModel,
-    right_clock: ClockModel,
+    left_clock: DeviceTimes,
+    right_clock: DeviceTimes,
     tolerance_ns: int | None,
 ) -> tuple[Indices, Indices]:
     """Frames that are each other's nearest in device time, within the tolerance."""
     ticked_left, ticked_right = np.flatnonzero(left.ticks >= 0), np.flatnonzero(right.ticks >= 0)
-    a, b = left_clock.to_host_ns(left.ticks[ticked_left]), right_clock.to_host_ns(right.ticks[ticked_right])
+    a = left_clock.times_of(left.ticks[ticked_left], left.host_ns[ticked_left])
+    b = right_clock.times_of(right.ticks[ticked_right], right.host_ns[ticked_right])
     order_a, order_b = np.argsort(a, kind="stable"), np.argsort(b, kind="stable")
     a, b = a[order_a], b[order_b]
     if tolerance_ns is None:

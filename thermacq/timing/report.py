@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq.timing.models import ClockModel
 from thermacq.timing.pairing import FrameTimes, pair_frames
+from thermacq.timing.restarts import DeviceTimes
 
 SKEW_SOURCES = {
     "software": "host time read by each process just before it fires its trigger",
@@ -23,7 +23,7 @@ def sync_report(
     trigger_mode: str,
     virtual: bool,
     cameras: Mapping[str, FrameTimes],
-    clocks: Mapping[str, ClockModel | None],
+    clocks: Mapping[str, DeviceTimes | None],
     counts: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Say how well a run was synchronised.
@@ -59,7 +59,7 @@ def sync_report(
 
 
 def _pair_report(
-    trigger_mode: str, stereo: list[tuple[str, FrameTimes]], clocks: Mapping[str, ClockModel | None]
+    trigger_mode: str, stereo: list[tuple[str, FrameTimes]], clocks: Mapping[str, DeviceTimes | None]
 ) -> dict[str, Any]:
     (name_left, left), (name_right, right) = stereo
     pairs = pair_frames(left, right, clocks.get(name_left), clocks.get(name_right))
