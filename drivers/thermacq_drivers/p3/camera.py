@@ -220,12 +220,12 @@ class P3Camera:
         devices = find_devices(self._transports, IDS)
         nameless = [device for device in devices if not serial_of(device)]
         if not self._serial or not nameless or self._serial in map(serial_of, devices):
-            port = UsbPort(self._name, self._transports, IDS, self._serial, _INTERFACES)
+            port = self._connect(devices, self._serial)
             return port, self._identify(port)
         seen = [serial for device in devices if (serial := serial_of(device))]
         for device in nameless:
             try:
-                port = UsbPort(self._name, self._transports, IDS, interfaces=_INTERFACES, chosen=device)
+                port = self._connect([device])
                 identity = self._identify(port)
             except DeviceFault as fault:
                 seen.append(fault.what)
@@ -236,6 +236,9 @@ class P3Camera:
             seen.append(identity.serial)
         what = f"no device with serial '{self._serial}'; attached: {', '.join(seen)}"
         raise DeviceDisconnected(self._name, "open", what, remedy="Check power and cable.")
+
+    def _connect(self, among: list[Any], serial: str = "") -> UsbPort:
+        return UsbPort(self._name, self._transports, IDS, serial, _INTERFACES, among)
 
     def _identify(self, port: UsbPort) -> DeviceIdentity:
         """Read name, firmware and serial number; closes the port when that fails."""

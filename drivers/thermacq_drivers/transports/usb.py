@@ -58,8 +58,8 @@ class UsbPort:
         Serial number that the rig expects; empty accepts any, if there is only one.
     interfaces
         Interfaces to claim; a driver of the kernel that holds one is detached.
-    chosen
-        One of `find_devices`, instead of choosing by `serial`: for devices without serial number on USB.
+    among
+        Some of `find_devices` to choose from; by default all that are attached.
 
     Raises
     ------
@@ -76,10 +76,11 @@ class UsbPort:
         ids: Sequence[tuple[int, int]],
         serial: str = "",
         interfaces: Sequence[int] = (0,),
-        chosen: Any = None,
+        among: list[Any] | None = None,
     ) -> None:
         self._name = device
-        self.device = chosen or self._choose(find_devices(transports, ids), serial)
+        found = find_devices(transports, ids) if among is None else among
+        self.device = self._choose(found, serial)
         with self._faults("open"):
             self.device.set_configuration()
         self._claim(interfaces)
