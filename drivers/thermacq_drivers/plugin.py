@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 def thermacq_drivers() -> Sequence[Driver]:
     """Built-in drivers."""
     from thermacq_drivers import (
+        boson,
         gige,
         hsva_logger,
         modbus_level,
@@ -29,6 +30,7 @@ def thermacq_drivers() -> Sequence[Driver]:
     from thermacq_drivers.simflume.drivers import DRIVERS
 
     modules = (
+        boson,
         gige,
         hsva_logger,
         modbus_level,

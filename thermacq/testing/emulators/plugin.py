@@ -11,6 +11,7 @@ from thermacq.hooks import Emulator, hookimpl
 def thermacq_emulators() -> Sequence[Emulator]:
     """Built-in emulators."""
     from thermacq.testing.emulators import (
+        boson,
         hsva_logger,
         modbus_level,
         p3,
@@ -20,6 +21,7 @@ def thermacq_emulators() -> Sequence[Emulator]:
     )
 
     modules = (
+        boson,
         hsva_logger,
         modbus_level,
         p3,
