@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 
@@ -22,7 +23,7 @@ seed = 3
 [chessboard]
 columns = 9
 rows = 6
-square_m = 0.025
+square_m = 0.036
 frames_per_view = 1
 place_m = [0.42, -0.03, -0.12]
 largest_tilt_deg = 10
@@ -169,9 +170,15 @@ def true_pair(path, pair):
 def test_simulated_pairs_are_joined_by_a_board_that_both_see(tmp_path):
     """Four simulated cameras and a board between the pairs: the second pair is found within 3 mm."""
     from thermacq_calibration import rectify
+    from thermacq_drivers.simflume.ready_made import rig_toml
 
     (tmp_path / "scene.toml").write_text(SIMULATED)
     recording = tmp_path / "board.h5"
+    # A quarter of the pixels.
+    small = re.sub(
+        r"\nside = .*", r"\g<0>\nrows = 256\ncolumns = 320\npixel_pitch_um = 34", rig_toml("two-pairs")
+    )
+    (tmp_path / "rig.toml").write_text(small)
     command = [
         sys.executable,
         "-m",
@@ -179,9 +186,9 @@ def test_simulated_pairs_are_joined_by_a_board_that_both_see(tmp_path):
         "simulate",
         "scene.toml",
         "--rig",
-        "two-pairs",
+        "rig.toml",
         "--frames",
-        "7",
+        "8",
     ]
     subprocess.run([*command, "-o", recording], cwd=tmp_path, check=True, capture_output=True)
     words = []
@@ -211,4 +218,4 @@ def test_simulated_pairs_are_joined_by_a_board_that_both_see(tmp_path):
     np.testing.assert_allclose(joined.rotation, rotation, atol=2e-3)
     place = joined.source["joined"]
     assert abs(joined.translation_m[0] - 0.84) < 4 * place["x_u_m"] + 5e-4
-    assert place["views"] >= 3
+    assert place["views"] >= 5
