@@ -70,8 +70,8 @@ def fit_rigid_motion(
         (n, 3, 3) float64, m².
     view
         (n,) number of the view of each point. Errors within a view hang together, so from six views on the
-        covariance comes from leaving out one view after the other; below, from the points' covariances,
-        scaled up by `chi2` when that is above 1.
+        covariance comes from leaving out one view after the other, when that is the larger one; else from the
+        points' covariances, scaled up by `chi2` when that is above 1.
 
     Raises
     ------
@@ -135,15 +135,17 @@ def _linearised(
     # The derivative of w x p by w.
     cross = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
     jacobian = np.concatenate([cross, np.broadcast_to(np.eye(3), cross.shape)], axis=2)
-    weights: Float = np.linalg.inv(target_covariance + rotation @ source_covariance @ rotation.T).astype(float)
+    weights: Float = np.linalg.inv(target_covariance + rotation @ source_covariance @ rotation.T).astype(
+        float
+    )
     return residuals, jacobian, weights
 
 
 def _covariance(rows: Float, jacobian: Float, residuals: Float, view: NDArray[np.intp], chi2: float) -> Float:
     normal = np.einsum("nik,nkj->ij", rows, jacobian)
     views = np.unique(view)
+    plain: Float = max(chi2, 1.0) * np.linalg.inv(normal)
     if views.size < _JACKKNIFE_VIEWS:
-        plain: Float = max(chi2, 1.0) * np.linalg.inv(normal)
         return plain
     moved = []
     for one in views:
@@ -152,7 +154,8 @@ def _covariance(rows: Float, jacobian: Float, residuals: Float, view: NDArray[np
         moved.append(-np.linalg.solve(without, np.einsum("nik,nk->i", rows[out], residuals[out])))
     spread = np.stack(moved)
     covariance: Float = (views.size - 1) / views.size * spread.T @ spread
-    return covariance
+    # Views that all err alike agree among themselves; what was said of the points then counts.
+    return max((covariance, plain), key=lambda one: float(np.log(np.diag(one)).sum()))
 
 
 def _rotation(vector: Float) -> Float:
