@@ -56,7 +56,7 @@ class BosonControl:
         self._parser = FrameParser()
         self._sequence = 0
         self._question: _Question | None = None
-        # Counted for whoever wants to know how good the line is.
+        # Counted for whoever wants to know how good the line is; late are second and foreign replies too.
         self.late_replies = 0
         self.unanswered = 0
 
@@ -123,10 +123,8 @@ class BosonControl:
         question = self._question
         if question is None:
             return None
-        for reply in self._arrived(0.0, stage):
-            if (reply.sequence, reply.function) != (question.sequence, question.function):
-                self.late_replies += 1
-                continue
+        reply = self._arrived_for(question.sequence, question.function, 0.0, stage)
+        if reply is not None:
             self._question = None
             return (question.function, reply.data) if reply.status == 0 else None
         if time.monotonic() - question.asked_s > _ANSWER_S:
@@ -143,17 +141,19 @@ class BosonControl:
         damaged_before = self.damaged
         # A damaged answer will not come any better: no need to wait for the deadline.
         while time.monotonic() < deadline_s and self.damaged == damaged_before:
-            for reply in self._arrived(_WAIT_S, stage):
-                if (reply.sequence, reply.function) == (sequence, function):
-                    return reply
-                self.late_replies += 1
+            reply = self._arrived_for(sequence, function, _WAIT_S, stage)
+            if reply is not None:
+                return reply
         return None
 
-    def _arrived(self, wait_s: float, stage: str) -> list[Reply]:
-        """Replies in what has arrived; other channels of the port are none of ours."""
+    def _arrived_for(self, sequence: int, function: Function, wait_s: float, stage: str) -> Reply | None:
+        """The reply to this call in what has arrived; other channels of the port are none of ours."""
         frames = self._parser.feed(self._port.read_some(wait_s, stage))
         replies = [parse_reply(payload) for channel, payload in frames if channel == COMMAND_CHANNEL]
-        return [reply for reply in replies if reply is not None]
+        wanted = (sequence, function)
+        fitting = [reply for reply in replies if reply and (reply.sequence, reply.function) == wanted]
+        self.late_replies += len(replies) - bool(fitting)
+        return fitting[0] if fitting else None
 
     def _data(self, reply: Reply, function: Function, stage: str) -> bytes:
         if reply.status == 0:
