@@ -57,7 +57,8 @@ class UsbPort:
     serial
         Serial number that the rig expects; empty accepts any, if there is only one.
     interfaces
-        Interfaces to claim; a driver of the kernel that holds one is detached.
+        Interfaces to claim; a driver of the kernel that holds one is detached. None at all leaves the
+        device to the kernel's driver (a camera that streams as USB video) and sends it requests beside that.
     among
         Some of `find_devices` to choose from; by default all that are attached.
 
@@ -81,9 +82,10 @@ class UsbPort:
         self._name = device
         found = find_devices(transports, ids) if among is None else among
         self.device = self._choose(found, serial)
-        with self._faults("open"):
-            self.device.set_configuration()
-        self._claim(interfaces)
+        if interfaces:
+            with self._faults("open"):
+                self.device.set_configuration()
+            self._claim(interfaces)
 
     def _choose(self, found: list[Any], wanted: str) -> Any:
         serials = [serial_of(device) for device in found]
