@@ -129,8 +129,7 @@ class ModbusLevelProbe:
 
     def samples(self, host: StreamHost) -> Iterator[SampleBlock]:
         """Ask at fixed times; a question without a good answer leaves a gap in the count."""
-        if not self._armed:
-            raise DeviceFault(self._name, "acquire", "it is not armed")
+        self._require_armed()
         period_ns = NS_PER_S / self._settings.rate_hz
         start_ns = good_ns = self._clock.now_ns()
         index = first = 0
@@ -150,6 +149,10 @@ class ModbusLevelProbe:
                 raise DeviceTimeout(self._name, "acquire", what, last_frame=index - first)
             # Questions that are due already are skipped and count as lost, never caught up.
             index = max(index + 1, math.floor((self._clock.now_ns() - start_ns) / period_ns))
+
+    def _require_armed(self) -> None:
+        if not self._armed:
+            raise DeviceFault(self._name, "acquire", "it is not armed")
 
     def _wait(self, due_ns: int, host: StreamHost) -> bool:
         """Wait for the next question; False when the host asked to stop."""

@@ -18,7 +18,7 @@ from thermacq.reconstruction.views import (
     views_from_lists,
 )
 from thermacq.store import CameraStream, FrameRow, RunHeader, RunWriter
-from thermacq_calibration import Detection, NoBoard
+from thermacq_calibration import CameraCorrection, Detection, NoBoard
 
 
 def touch(folder, *names):
@@ -146,13 +146,13 @@ def test_nothing_readable_is_refused(tmp_path, small_pair):
 def board_run(tmp_path, small_pair):
     """Write a recording of a board: so many frames of each of the poses; returns its path."""
 
-    def write(held, noise=6.0, cameras=("left", "right")):
+    def write(held, noise=6.0, cameras=("left", "right"), corrections=None):
         path = tmp_path / "board.h5"
         rig = {"cameras": {name: {"driver": "x"} for name in cameras}}
         header = RunHeader("1", "board", "2026-01-01T00:00:00+00:00", 0, 0, "virtual", True, rig)
         columns, rows = small_pair.truth.image_size
         streams = [CameraStream(name, rows, columns) for name in cameras]
-        writer = RunWriter.create(path, header, streams)
+        writer = RunWriter.create(path, header, streams, corrections=corrections)
         index = 0
         random = np.random.default_rng(2)
         for pose, count in zip(small_pair.poses(len(held), seed=1), held, strict=True):
@@ -195,6 +195,17 @@ def test_frames_per_view_overrides_the_search(board_run):
     path = board_run([4, 4])
     with open_views([path], frames_per_view=3) as views:
         assert [view.name for view in views] == ["0-2", "3-5", "6-6"]
+
+
+def test_views_of_a_run_are_corrected_as_the_run_says_unless_told_otherwise(board_run, small_pair):
+    columns, rows = small_pair.truth.image_size
+    ramp = np.linspace(0, 500, columns, dtype=np.float32) * np.ones((rows, 1), np.float32)
+    none = np.zeros((rows, columns), np.uint8)
+    right = CameraCorrection("", "right", np.ones_like(ramp), ramp, none)
+    path = board_run([8], noise=0.5, corrections={"right": right})
+    with open_views([path]) as views, open_views([path], correct=False) as raw:
+        np.testing.assert_array_equal(views[0].left(), raw[0].left())
+        np.testing.assert_allclose(views[0].right() - raw[0].right(), ramp, atol=1e-3)
 
 
 def test_a_board_that_never_rests_is_explained(board_run):

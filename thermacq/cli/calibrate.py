@@ -88,6 +88,13 @@ def cameras(
     pair: Annotated[
         str | None, typer.Option(help="Run file: pair of the rig, or cameras LEFT,RIGHT; default: the first.")
     ] = None,
+    correction: Annotated[
+        list[Path] | None,
+        typer.Option(help="Run file: correction of a camera; repeatable. Default: those stored in the run."),
+    ] = None,
+    no_correction: Annotated[
+        bool, typer.Option("--no-correction", help="Run file: pictures as the cameras delivered them.")
+    ] = False,
     bootstrap: Annotated[
         int, typer.Option(min=0, help="How many times views are drawn for the uncertainties; 0: none.")
     ] = 200,
@@ -113,11 +120,14 @@ def cameras(
         refuse_existing(report)
     if bool(left) != bool(right) or bool(left) == bool(sources):
         raise typer.BadParameter("give a SOURCE, or both --left and --right")
+    if (correction or no_correction) and (not sources or (correction and no_correction)):
+        raise typer.BadParameter("--correction or --no-correction, one of them, belongs to a run file")
     judged = {"replicates": bootstrap, "working_distance_m": working_distance_m}
     given = {"columns": columns, "rows": rows, "square_m": square_m, "kind": kind, "marker_m": marker_m}
     board = _board(sources or [], {**given, "dictionary": dictionary})
     source = " ".join(map(str, sources)) if sources else f"{left} {right}"
-    with _views(sources or [], left, right, frames_per_view, pair) as pictures:
+    use = {"correction_files": correction or [], "correct": not no_correction}
+    with _views(sources or [], left, right, frames_per_view, pair, **use) as pictures:
         calibration = _calibrate(pictures, board, source, as_json, **judged)
         shown = [] if report is None else _shown(pictures, calibration)
     calibration = _with_run(calibration, sources or [], pair)
@@ -136,7 +146,7 @@ def cameras(
 
 @contextmanager
 def _views(
-    sources: list[Path], left: str, right: str, frames_per_view: int | None, pair: str | None
+    sources: list[Path], left: str, right: str, frames_per_view: int | None, pair: str | None, **use: Any
 ) -> Iterator[list[PictureView]]:
     """The views of the command line, as long as the context lasts."""
     from thermacq.reconstruction.views import open_views
@@ -144,7 +154,7 @@ def _views(
     if not sources:
         yield _globbed(left, right)
         return
-    with open_views(sources, frames_per_view, pair) as pictures:
+    with open_views(sources, frames_per_view, pair, **use) as pictures:
         yield pictures
 
 

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermacq.errors import ReconstructionError, StoreError
+from thermacq.imaging.corrections import corrections_of
 from thermacq.reconstruction.pairs import RunPairs, run_pairs
-from thermacq.reconstruction.views import middle_of
+from thermacq.reconstruction.views import mean_picture, middle_of
 from thermacq.store import RunFile, open_run
-from thermacq_calibration import FRAMES_TO_AVERAGE, Board, View, average, detect_board
+from thermacq_calibration import FRAMES_TO_AVERAGE, Board, View, detect_board
 from thermacq_calibration.poses import changes, still_stretches
 
 
@@ -77,9 +78,10 @@ class GrowingViews:
             if stretch[0] > self._looked_until and (moved_on or len(stretch) >= FRAMES_TO_AVERAGE):
                 self._looked_until = stretch[-1] if moved_on else stretch[0]
                 frames = middle_of(stretch)
+                corrections = corrections_of(run, stages=())
                 sides = [
                     detect_board(
-                        average(np.stack([run.counts(camera, int(index)) for index in indices[frames]])),
+                        mean_picture(run, camera, indices[frames], corrections),
                         self._board,
                     )
                     for camera, indices in (

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermacq.errors import ImportDataError, ReconstructionError
+from thermacq.imaging.corrections import NO_CORRECTIONS, CorrectedPictures, Corrections, corrections_of
 from thermacq.reconstruction.pairs import camera_serials, run_pairs
 from thermacq.rig import Rig
 from thermacq.store import RunFile, open_run
@@ -52,9 +53,16 @@ class PictureView:
 
 @contextmanager
 def open_views(
-    sources: Sequence[Path], frames_per_view: int | None = None, pair: str | None = None
+    sources: Sequence[Path],
+    frames_per_view: int | None = None,
+    pair: str | None = None,
+    *,
+    correction_files: Sequence[Path] = (),
+    correct: bool = True,
 ) -> Iterator[list[PictureView]]:
     """Views of a folder, of picture files, or of one pair of cameras of a run, as long as the context lasts.
+
+    Pictures of a run are corrected as `views_from_run` says; those of files are taken as they are.
 
     Raises
     ------
@@ -74,7 +82,8 @@ def open_views(
         yield views_from_folder(sources[0])
     else:
         with open_run(sources[0]) as run:
-            yield views_from_run(run, frames_per_view, pair)
+            corrections = corrections_of(run, correction_files, use=correct, stages=())
+            yield views_from_run(run, frames_per_view, pair, corrections)
 
 
 def is_run(sources: Sequence[Path]) -> bool:
@@ -163,7 +172,10 @@ def views_from_lists(left: Sequence[Path], right: Sequence[Path]) -> list[Pictur
 
 
 def views_from_run(
-    run: RunFile, frames_per_view: int | None = None, pair: str | None = None
+    run: RunFile,
+    frames_per_view: int | None = None,
+    pair: str | None = None,
+    corrections: Corrections = NO_CORRECTIONS,
 ) -> list[PictureView]:
     """Poses of a recorded board; each picture is the mean of up to 16 frames.
 
@@ -175,6 +187,8 @@ def views_from_run(
         Pairs per pose; None finds the stretches in which the left picture stands still.
     pair
         Which pair of cameras; see `camera_sides`.
+    corrections
+        What is applied to each picture; stages of plugins (destriping) have no place here.
 
     Raises
     ------
@@ -198,8 +212,8 @@ def views_from_run(
     return [
         PictureView(
             f"{stretch[0]}-{stretch[-1]}",
-            _run_loader(run, pairs.left_camera, pairs.left[middle_of(stretch)]),
-            _run_loader(run, pairs.right_camera, pairs.right[middle_of(stretch)]),
+            _run_loader(run, pairs.left_camera, pairs.left[middle_of(stretch)], corrections),
+            _run_loader(run, pairs.right_camera, pairs.right[middle_of(stretch)], corrections),
         )
         for stretch in stretches
     ]
@@ -325,8 +339,17 @@ def _loader(path: Path | None) -> Load | None:
     return None if path is None else lambda: read_picture(path)
 
 
-def _run_loader(run: RunFile, camera: str, frames: NDArray[np.intp]) -> Load:
-    return lambda: average(np.stack([run.counts(camera, int(index)) for index in frames]))
+def _run_loader(run: RunFile, camera: str, frames: NDArray[np.intp], corrections: Corrections) -> Load:
+    return lambda: mean_picture(run, camera, frames, corrections)
+
+
+def mean_picture(
+    run: RunFile, camera: str, frames: NDArray[np.intp], corrections: Corrections
+) -> NDArray[np.float32]:
+    """Mean of some frames of a camera, corrected: (rows, columns) float32, counts."""
+    # Made for each call: pictures of a camera are read by several threads.
+    pictures = CorrectedPictures(run, camera, corrections)
+    return average(np.stack([pictures.read(int(index)) for index in frames]))
 
 
 def middle_of(stretch: range) -> slice:
