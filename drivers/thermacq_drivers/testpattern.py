@@ -64,7 +64,11 @@ class PatternSettings(BaseModel):
     incomplete_at_frame: int = Field(-1, ge=-1, description="this frame arrives short")
     overrun_at_frame: int = Field(-1, ge=-1, description="this frame is lost as if the host were late")
     stall_at_frame: int = Field(-1, ge=-1, description="the camera falls silent here")
-    fail_at_frame: int = Field(-1, ge=-1, description="the camera is unplugged here")
+    fail_at_frame: int = Field(-1, ge=-1, description="the camera is unplugged here, once")
+    replug_after_s: float = Field(
+        0.0, ge=0, description="after so many seconds of host time it is plugged in again; 0: never"
+    )
+    replug_serial: str = Field("", description="another camera is plugged in then, with this serial number")
     timeout_s: float = Field(2.0, gt=0, le=60, description="longest wait for a trigger or a frame")
     line: str = Field("trigger", pattern=r"^[\w-]+$", description="trigger line, for mode 'hardware'")
 
@@ -81,6 +85,7 @@ class PatternCamera:
         self._exposures: ExposureSource | None = None
         self._opened_ns = 0
         self._last_good = -1
+        self._unplugged_ns: int | None = None
 
     @property
     def capabilities(self) -> CameraCapabilities:
@@ -97,14 +102,24 @@ class PatternCamera:
         )
 
     def open(self) -> DeviceIdentity:
-        """Start the device clock."""
-        self._opened_ns = self._clock.now_ns()
-        return DeviceIdentity("test-pattern", "test pattern", f"TP-{self._name}")
+        """Start the device clock; a camera that was unplugged is there again when its time has come."""
+        self._opened_ns = now_ns = self._clock.now_ns()
+        serial = f"TP-{self._name}"
+        if self._unplugged_ns is not None:
+            after_ns = self._settings.replug_after_s * 1e9
+            if after_ns == 0 or now_ns < self._unplugged_ns + after_ns:
+                raise self._fault(DeviceDisconnected, "open", "no camera is there")
+            serial = self._settings.replug_serial or serial
+        return DeviceIdentity("test-pattern", "test pattern", serial)
 
     def configure(self, settings: Settings) -> Settings:
         """Apply settings; a camera that was armed must be armed again."""
         self.disarm()
         self._settings = check_settings(PatternSettings, settings, self._name)
+        return self._settings.model_dump()
+
+    def adopt(self) -> Settings:
+        """Settings in force; they outlast an unplugging."""
         return self._settings.model_dump()
 
     def arm(self, mode: TriggerMode, frame_rate_hz: float) -> None:
@@ -174,7 +189,8 @@ class PatternCamera:
     def _act_out_fault(self, number: int, host: FrameHost) -> None:
         """Raise the fault that the settings order for this frame."""
         settings = self._settings
-        if number == settings.fail_at_frame:
+        if number == settings.fail_at_frame and self._unplugged_ns is None:
+            self._unplugged_ns = self._clock.now_ns()
             self.disarm()
             raise self._fault(DeviceDisconnected, "acquire", "the camera is gone")
         if number == settings.stall_at_frame:

@@ -153,7 +153,8 @@ def test_free_run_is_paired_by_device_time_and_its_gaps_are_counted(make_rig, tm
 
 @pytest.mark.slow
 def test_when_a_camera_dies_the_other_goes_on_and_all_is_kept(make_rig, tmp_path: Path) -> None:
-    result = record(make_rig({"fail_at_frame": 10}), tmp_path / "run.h5", frames=40)
+    rig = make_rig({"fail_at_frame": 10}, reconnect={"policy": "fail"})
+    result = record(rig, tmp_path / "run.h5", frames=40)
     assert result.end_reason == EndReason.CAMERA_LOST
     assert not result.asked_for
     assert "the camera is gone" in result.message
@@ -166,7 +167,8 @@ def test_when_a_camera_dies_the_other_goes_on_and_all_is_kept(make_rig, tmp_path
 
 @pytest.mark.slow
 def test_a_lost_camera_ends_an_endless_run(make_rig, tmp_path: Path) -> None:
-    result = record(make_rig({"fail_at_frame": 5}, {"fail_at_frame": 15}), tmp_path / "run.h5")
+    rig = make_rig({"fail_at_frame": 5}, {"fail_at_frame": 15}, reconnect={"policy": "fail"})
+    result = record(rig, tmp_path / "run.h5")
     assert result.end_reason == EndReason.CAMERA_LOST
 
 

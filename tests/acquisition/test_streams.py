@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 
 from thermacq.acquisition.board import Board, Cell, Order
-from thermacq.acquisition.messages import ArmOrder, Samples
+from thermacq.acquisition.camera_loop import CameraLoop
+from thermacq.acquisition.lifeline import Lifeline
+from thermacq.acquisition.messages import ArmOrder, Opened, Samples
 from thermacq.acquisition.ring import FrameRing, ring_bytes
+from thermacq.acquisition.ring_host import RingHost
 from thermacq.acquisition.shared import SharedBlock
-from thermacq.acquisition.streams import CameraLoop, ProbeLoop, RingHost, Station, check_block
+from thermacq.acquisition.station import Station
+from thermacq.acquisition.streams import ProbeLoop, check_block
 from thermacq.devices import (
     CameraCapabilities,
+    DeviceIdentity,
     Frame,
     FrameFlag,
     ProbeCapabilities,
@@ -21,6 +26,7 @@ from thermacq.devices import (
     TriggerMode,
 )
 from thermacq.errors import DeviceFault, DeviceOverrun, IncompleteFrame
+from thermacq.rig import ReconnectTable
 from thermacq.store import Event
 from thermacq.timing import VirtualClock
 
@@ -86,6 +92,12 @@ class ScriptedCamera:
                 yield Frame(counts, step, -1, self.clock.now_ns())
 
 
+def no_way_back(device: Any, station: Station) -> Lifeline:
+    """For devices that are lost for good with their first fault."""
+    opened = Opened(DeviceIdentity("scripted", "scripted", "1"), {}, device.capabilities)
+    return Lifeline(device, station, ReconnectTable(policy="fail"), {}, opened, lambda _: None)
+
+
 class Bench:
     """A camera loop with its surroundings."""
 
@@ -107,7 +119,14 @@ class Bench:
             "late_after_ns": 1_000_000,
             "slots": slots,
         }
-        self.loop = CameraLoop(self.camera, self.station, self.host, ArmOrder(**given | order), None)  # type: ignore[arg-type]
+        self.loop = CameraLoop(
+            self.camera,
+            self.station,
+            self.host,
+            ArmOrder(**given | order),
+            None,
+            no_way_back(self.camera, self.station),
+        )  # type: ignore[arg-type]
 
     def run(self) -> None:
         self.loop.run(0)
@@ -275,7 +294,8 @@ def block(first_index: int, samples: int = 5, channels: int = 2) -> SampleBlock:
 def run_probe(blocks: list[Any]) -> tuple[Board, Mail]:
     board, mail = Board(1), Mail()
     station = Station("wp", 0, board, VirtualClock(), mail, os.getppid())  # type: ignore[arg-type]
-    ProbeLoop(ScriptedProbe(blocks, board), station).run()  # type: ignore[arg-type]
+    probe = ScriptedProbe(blocks, board)
+    ProbeLoop(probe, station, no_way_back(probe, station)).run()  # type: ignore[arg-type]
     return board, mail
 
 

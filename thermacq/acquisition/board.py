@@ -19,11 +19,15 @@ HISTORY = 64
 
 
 class Order(IntEnum):
-    """Cells that the recorder writes."""
+    """Cells that the recorder writes; the last two are written by the trigger source that leads."""
 
     GO = 0
     START_NS = 1
     STOP = 2
+    PULSES_BEFORE = 3
+    """Pulses emitted before the source was away for the last time; its own count begins anew then."""
+    PULSES_SINCE_NS = 4
+    """Host time from which `PULSES_BEFORE` holds."""
 
 
 class Cell(IntEnum):
@@ -40,6 +44,7 @@ class Cell(IntEnum):
     PROBE_GAP = 8
     WRITTEN = 9
     RING_FILLED = 10
+    DISCONNECTED = 11
 
 
 LOSSES = (
@@ -49,8 +54,9 @@ LOSSES = (
     Cell.INCOMPLETE,
     Cell.OVERRUN,
     Cell.PROBE_GAP,
+    Cell.DISCONNECTED,
 )
-"""Cells that count losses, by cause: frames of a camera, samples or blocks of a probe."""
+"""Cells that count losses, by cause: frames of a camera, samples or blocks of a probe, pulses of a source."""
 
 _ORDERS = 8
 _CELLS = 16

@@ -13,10 +13,11 @@ from typing import Any
 
 from thermacq.acquisition.board import Board, Cell
 from thermacq.acquisition.device_process import device_main
-from thermacq.acquisition.messages import Armed, DeviceSpec, Ended, Opened
+from thermacq.acquisition.messages import Armed, Away, Back, DeviceSpec, Ended, Opened
 from thermacq.acquisition.shared import SharedBlock
 from thermacq.acquisition.writer import writer_main
 from thermacq.errors import DeviceDisconnected, DeviceFault
+from thermacq.timing import NS_PER_S
 
 _TERMINATION_S = 1.0
 # Vendor libraries do not survive a fork; nothing of ours relies on one.
@@ -69,6 +70,46 @@ class Child:
 
 
 @dataclass
+class Outage:
+    """A time for which a device was away."""
+
+    device: str
+    lost_ns: int
+    why: str
+    back: Back | None = None
+    latest: str = ""
+
+    @property
+    def tidings(self) -> list[str]:
+        """What the user should know of it."""
+        told = [self.why]
+        if self.back is not None:
+            told.append(
+                f"device '{self.device}' was away for {self.back.away_s:.1f} s and missed {self.back.missed}"
+            )
+        elif self.latest != self.why:
+            told.append(self.latest)
+        return told
+
+    def to_dict(self, start_ns: int) -> dict[str, Any]:
+        """Plain values for the summary of the run; seconds are those of the recording."""
+        told: dict[str, Any] = {
+            "device": self.device,
+            "lost_s": round((self.lost_ns - start_ns) / NS_PER_S, 3),
+            "why": self.why,
+            "came_back": self.back is not None,
+        }
+        if self.back is not None:
+            told |= {
+                "back_s": round((self.back.host_ns - start_ns) / NS_PER_S, 3),
+                "away_s": round(self.back.away_s, 3),
+                "missed": self.back.missed,
+                "changed": {key: self.back.applied.get(key) for key in self.back.changed},
+            }
+        return told
+
+
+@dataclass
 class DeviceChild:
     """A device process and what it has said so far."""
 
@@ -80,6 +121,7 @@ class DeviceChild:
     ended: bool = False
     fault: DeviceFault | None = None
     lost_s: float | None = None
+    outages: list[Outage] = field(default_factory=list)
     _heartbeat: int = -1
     _heard_s: float = field(default_factory=time.monotonic)
 
@@ -100,7 +142,14 @@ class DeviceChild:
             return "lost"
         if self.ended:
             return "ended"
+        if self.away:
+            return "reconnecting"
         return "armed" if self.armed else "open" if self.opened else "starting"
+
+    @property
+    def away(self) -> Outage | None:
+        """The outage of now."""
+        return self.outages[-1] if self.outages and self.outages[-1].back is None else None
 
     def listen(self) -> None:
         """Take in what the device said, or that its process is gone."""
@@ -109,6 +158,10 @@ class DeviceChild:
                 self.opened = message
             elif isinstance(message, Armed):
                 self.armed = message
+            elif isinstance(message, Away):
+                self._take_outage(message)
+            elif isinstance(message, Back) and self.away:
+                self.away.back = message
             elif isinstance(message, Ended):
                 self.ended = True
                 self.fault = self.fault or message.fault
@@ -116,6 +169,11 @@ class DeviceChild:
             self.fault = DeviceDisconnected(self.name, "acquire", self.child.obituary())
         if self.fault is not None and self.lost_s is None:
             self.lost_s = time.monotonic()
+
+    def _take_outage(self, message: Away) -> None:
+        if self.away is None:
+            self.outages.append(Outage(self.name, message.host_ns, message.why))
+        self.outages[-1].latest = message.why
 
     def give_up(self, fault: DeviceFault) -> None:
         """Count the device as lost: it was ended by force."""

@@ -17,12 +17,17 @@ import numpy as np
 
 from thermacq.acquisition import priority
 from thermacq.acquisition.board import Board, Order
+from thermacq.acquisition.camera_loop import CameraLoop
+from thermacq.acquisition.lifeline import Lifeline, event_kind
 from thermacq.acquisition.messages import Armed, ArmOrder, DeviceSpec, Ended, Opened, plain
 from thermacq.acquisition.outbox import Outbox
 from thermacq.acquisition.ring import FrameRing
+from thermacq.acquisition.ring_host import RingHost
 from thermacq.acquisition.shared import SharedBlock
-from thermacq.acquisition.streams import CameraLoop, ProbeLoop, RingHost, Station, run_trigger_source
+from thermacq.acquisition.station import Station
+from thermacq.acquisition.streams import ProbeLoop, TriggerLoop
 from thermacq.devices import (
+    Adopting,
     Camera,
     Device,
     DeviceContext,
@@ -31,7 +36,7 @@ from thermacq.devices import (
     TriggerSource,
     WaveProbe,
 )
-from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
+from thermacq.errors import DeviceFault
 from thermacq.hooks import Emulation
 from thermacq.plugins import plugins
 from thermacq.rig.rehearsal import transports_for
@@ -76,7 +81,7 @@ def device_main(
         _live(spec, station, block, recorder)
     except DeviceFault as problem:
         fault = problem
-        station.event(_event_kind(problem), problem.last_frame, problem.what)
+        station.event(event_kind(problem), problem.last_frame, problem.what)
     _tell_injected_faults(spec, station)
     if outbox.thrown_away:
         outbox.send(_CLOSING_PATIENCE_S)
@@ -94,18 +99,29 @@ def _live(spec: DeviceSpec, station: Station, block: SharedBlock, recorder: Conn
         device = _make(spec, station, attached)
         identity = device.open()
         stage = "configure"
-        applied = device.configure(spec.settings)
-        recorder.send(Opened(identity, plain(dict(applied)), device.capabilities))
+        opened = Opened(identity, plain(dict(device.configure(spec.settings))), device.capabilities)
+        recorder.send(opened)
         order = _wait_for_order(recorder, station)
         if order is None:
             return
         stage = "arm"
-        trigger_priority = _arm(device, order, station)
+        _arm(device, order)
+        real_time_triggers = isinstance(device, Camera) and order.mode is TriggerMode.SOFTWARE
+        real_time_triggers = real_time_triggers and not station.clock.is_virtual
+        trigger_priority = priority.TriggerPriority() if real_time_triggers else None
         recorder.send(Armed(trigger_priority.name if trigger_priority else ""))
         if not _wait_for_go(station):
             return
         stage = "acquire"
-        _run(device, order, station, block, trigger_priority)
+        lifeline = Lifeline(
+            device,
+            station,
+            spec.reconnect,
+            spec.settings,
+            opened,
+            lambda news: _tell(recorder, news),
+        )
+        _run(device, order, station, block, trigger_priority, lifeline)
     except DeviceFault:
         raise
     # A driver is foreign code: whatever it raises ends this device only, and is told as its fault.
@@ -140,7 +156,19 @@ def _make(spec: DeviceSpec, station: Station, attached: ExitStack) -> Device:
     device = driver.make(context)
     if not isinstance(device, _PROTOCOLS[spec.kind]):
         raise DeviceFault(spec.name, "open", f"driver '{spec.driver}' makes no {spec.kind.value}")
+    if spec.reconnect.policy == "device_wins" and not isinstance(device, Adopting):
+        raise DeviceFault(
+            spec.name,
+            "open",
+            f"driver '{spec.driver}' cannot ask the device for its settings, as policy 'device_wins' needs",
+            remedy="Choose 'host_wins' or 'fail' in [reconnect], or in this device's own table.",
+        )
     return device
+
+
+def _tell(recorder: Connection, news: object) -> None:
+    with suppress(OSError):
+        recorder.send(news)
 
 
 def _tell_injected_faults(spec: DeviceSpec, station: Station) -> None:
@@ -163,16 +191,13 @@ def _wait_for_order(recorder: Connection, station: Station) -> ArmOrder | None:
     return None
 
 
-def _arm(device: Device, order: ArmOrder, station: Station) -> priority.TriggerPriority | None:
+def _arm(device: Device, order: ArmOrder) -> None:
     if isinstance(device, Camera):
         device.arm(order.mode, order.rate_hz)
-        if order.mode is TriggerMode.SOFTWARE and not station.clock.is_virtual:
-            return priority.TriggerPriority()
     elif isinstance(device, TriggerSource):
         device.arm(order.rate_hz, order.count)
     else:
         device.arm()
-    return None
 
 
 def _wait_for_go(station: Station) -> bool:
@@ -191,20 +216,15 @@ def _run(
     station: Station,
     block: SharedBlock,
     trigger_priority: priority.TriggerPriority | None,
+    lifeline: Lifeline,
 ) -> None:
     start_ns = station.board.order(Order.START_NS)
     station.end_ns = None if order.end_ns is None else start_ns + order.end_ns
     if isinstance(device, Camera):
         size = device.capabilities.rows, device.capabilities.columns
         host = RingHost(station, FrameRing(block, *size, order.slots), np.zeros(size, np.uint16))
-        CameraLoop(device, station, host, order, trigger_priority).run(start_ns)
+        CameraLoop(device, station, host, order, trigger_priority, lifeline).run(start_ns)
     elif isinstance(device, TriggerSource):
-        run_trigger_source(device, station, start_ns)
+        TriggerLoop(device, station, order, lifeline).run(start_ns)
     else:
-        ProbeLoop(device, station).run()
-
-
-def _event_kind(fault: DeviceFault) -> EventKind:
-    if isinstance(fault, DeviceTimeout):
-        return EventKind.TIMEOUT
-    return EventKind.DISCONNECTED if isinstance(fault, DeviceDisconnected) else EventKind.NOTE
+        ProbeLoop(device, station, lifeline).run()

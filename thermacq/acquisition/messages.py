@@ -21,7 +21,7 @@ from thermacq.devices import (
     TriggerMode,
 )
 from thermacq.errors import DeviceFault, StoreError
-from thermacq.rig import StoreTable
+from thermacq.rig import ReconnectTable, StoreTable
 from thermacq.store import CameraStream, ProbeStream, RunHeader
 from thermacq.timing import ClockSettings
 
@@ -66,6 +66,7 @@ class DeviceSpec:
     core: int | None = None
     serial: str = ""
     emulation: Settings | None = None
+    reconnect: ReconnectTable = field(default_factory=ReconnectTable)
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,39 @@ class Armed:
     """Device to recorder: it is ready; `scheduling` says what priority its triggers get."""
 
     scheduling: str = ""
+
+
+@dataclass(frozen=True)
+class Away:
+    """Device to recorder: it was lost and is being brought back, or this is why it cannot be yet."""
+
+    host_ns: int
+    why: str
+
+
+@dataclass(frozen=True)
+class Back:
+    """Device to recorder: it delivers again.
+
+    Parameters
+    ----------
+    host_ns
+        Host time from which it is the restarted device that delivers.
+    away_s
+        From the loss to the first frame, sample or pulse.
+    missed
+        Frames, samples or pulses that are missing; for what has no index, reckoned from the time.
+    applied
+        Settings in force now.
+    changed
+        Those of them that differ from the ones before.
+    """
+
+    host_ns: int
+    away_s: float
+    missed: int
+    applied: dict[str, Any]
+    changed: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -158,6 +192,7 @@ class FinishOrder:
     end_reason: EndReason
     message: str
     summary: dict[str, Any] = field(default_factory=dict)
+    outages: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass(frozen=True)

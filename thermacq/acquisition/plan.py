@@ -58,6 +58,7 @@ def device_specs(rig: Rig, runtime_dir: Path, emulate: bool = False) -> list[Dev
                 core=core,
                 serial=table.serial,
                 emulation=emulated.get(name),
+                reconnect=table.reconnect or rig.reconnect,
             )
         )
     return specs

@@ -44,7 +44,7 @@ WRITE_STALL_S = 60.0
 HUNG_AFTER_S = 10.0
 """A device that gives no sign of life for so long is killed."""
 END_AFTER_LOSS_S = 5.0
-"""The other cameras go on for so long after one was lost; then the run ends."""
+"""The other cameras go on for so long after one was lost that is not to be brought back; then the run ends."""
 LAST_FRAMES_S = 1.0
 """After the last pulse, cameras get so long without a new frame."""
 LAST_SAMPLES_S = 2.0
@@ -183,18 +183,19 @@ class Recorder:
     def _reason_to_end(self) -> EndReason | None:
         """Whether and why the recording shall end now."""
         cameras, sources = self._of_kind(DeviceKind.CAMERA), self._of_kind(DeviceKind.TRIGGER_SOURCE)
-        lost_s = [device.lost_s for device in cameras if device.lost_s is not None]
+        lost = [device for device in cameras if device.lost_s is not None]
         now = time.monotonic()
         writer_over = self._writer_lost or self._from_writer(WriterEnded) is not None
-        lost_for_long = any(now - since_s > END_AFTER_LOSS_S for since_s in lost_s)
+        # One that was away was waited for already.
+        lost_for_long = any(d.away or now - (d.lost_s or now) > END_AFTER_LOSS_S for d in lost)
         done = self._all_recorded(cameras, sources, now)
         reasons = (
             (writer_over, EndReason.WRITER_LOST),
             (self._from_writer(DiskReserve) is not None, EndReason.DISK_RESERVE),
-            (len(lost_s) == len(cameras) or lost_for_long, EndReason.CAMERA_LOST),
+            (len(lost) == len(cameras) or lost_for_long, EndReason.CAMERA_LOST),
             (any(source.fault for source in sources), EndReason.TRIGGER_LOST),
             (self._stop_asked, EndReason.STOPPED),
-            (done, EndReason.CAMERA_LOST if lost_s else EndReason.COMPLETED),
+            (done, EndReason.CAMERA_LOST if lost else EndReason.COMPLETED),
         )
         return next((reason for happened, reason in reasons if happened), None)
 
@@ -251,6 +252,7 @@ class Recorder:
                     "warnings": list(self._warnings),
                     "scheduling": {d.name: d.armed.scheduling for d in self._devices if d.armed},
                 },
+                tuple(outage.to_dict(self._start_ns) for d in self._devices for outage in d.outages),
             )
         )
         written, progress_s = -1, time.monotonic()
@@ -315,6 +317,8 @@ class Recorder:
         for device in self._devices:
             fault_known = device.fault is not None
             device.listen()
+            for tiding in (text for outage in device.outages for text in outage.tidings):
+                self._warn(tiding)
             if device.fault is not None and not fault_known:
                 self._warn(device.fault.what)
                 if not device.ended:
@@ -341,8 +345,9 @@ class Recorder:
     def _look_after_devices(self) -> None:
         """End devices that hang, warn of probes that say nothing."""
         for device in self._devices:
-            if not device.over and device.silent_s(self._board) > HUNG_AFTER_S:
-                self._kill(device, f"gave no sign of life for {HUNG_AFTER_S:.0f} s")
+            limit_s = OPEN_TIMEOUT_S if device.away else HUNG_AFTER_S
+            if not device.over and device.silent_s(self._board) > limit_s:
+                self._kill(device, f"gave no sign of life for {limit_s:.0f} s")
         since_start_s = (time.perf_counter_ns() - self._start_ns) / NS_PER_S
         if not self._virtual and since_start_s > _SILENT_PROBE_S:
             for probe in self._of_kind(DeviceKind.WAVE_PROBE):

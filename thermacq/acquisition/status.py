@@ -97,6 +97,7 @@ def _device(device: DeviceChild, job: Job, board: Board, rates: Rates) -> dict[s
         "lost": board.losses(index),
         "rate_hz": round(rates.of(device.name, received), 1),
         "fault": device.fault.what if device.fault else "",
+        "away": device.away.latest if device.away else "",
     }
     if kind is DeviceKind.CAMERA:
         status["written"] = board.get(index, Cell.WRITTEN)

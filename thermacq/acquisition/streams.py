@@ -5,142 +5,26 @@ Each loop counts every loss by its cause on the board and posts it as an event, 
 
 from __future__ import annotations
 
-import os
-import time
-from collections.abc import Callable, Iterator
-from contextlib import nullcontext
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator
+from contextlib import suppress
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 import numpy as np
 
-from thermacq.acquisition.board import Board, Cell, Order
+from thermacq.acquisition.board import Cell, Order
+from thermacq.acquisition.lifeline import LOST, Lifeline
 from thermacq.acquisition.messages import ArmOrder, Pulse, Samples
-from thermacq.acquisition.outbox import Outbox
-from thermacq.acquisition.priority import TriggerPriority
-from thermacq.acquisition.ring import FrameRing
-from thermacq.devices import (
-    Camera,
-    Counts,
-    Frame,
-    FrameFlag,
-    SampleBlock,
-    TriggerMode,
-    TriggerSource,
-    WaveProbe,
-)
+from thermacq.acquisition.station import Station
+from thermacq.devices import SampleBlock, TriggerPulse, TriggerSource, WaveProbe
 from thermacq.errors import DeviceFault, DeviceOverrun, IncompleteFrame
-from thermacq.store import Event, EventKind
-from thermacq.timing import NS_PER_S, Clock, lost_between
+from thermacq.store import EventKind
+from thermacq.timing import NS_PER_S
 
 # A device that fails this often in a row without delivering anything is given up.
 _MAX_FAILURES = 100
-_FULL_RING_POLL_S = 0.0005
-# A frame can come this many triggers after its own and still be given its time.
-_TRIGGERS_REMEMBERED = 256
 
 _Item = TypeVar("_Item")
-
-
-@dataclass
-class Station:
-    """What every loop needs: the device's place on the board, its clock and its mail."""
-
-    name: str
-    index: int
-    board: Board
-    clock: Clock
-    outbox: Outbox
-    recorder_pid: int
-    end_ns: int | None = None
-
-    def stopping(self) -> bool:
-        """Whether the device shall end now; also the sign of life that the recorder watches."""
-        self.board.add(self.index, Cell.HEARTBEAT)
-        return self.ordered_to_stop() or (self.end_ns is not None and self.clock.now_ns() >= self.end_ns)
-
-    def ordered_to_stop(self) -> bool:
-        """Whether the recorder said stop, or is gone."""
-        return self.board.order(Order.STOP) != 0 or os.getppid() != self.recorder_pid
-
-    def event(self, kind: EventKind, index: int, detail: str) -> None:
-        """Post an event for the file."""
-        self.outbox.post(Event(self.clock.now_ns(), self.name, kind, index, detail))
-
-    def lost(self, cell: Cell, kind: EventKind, amount: int, index: int, detail: str) -> None:
-        """Count a loss and post it."""
-        self.board.add(self.index, cell, amount)
-        self.event(kind, index, detail)
-
-
-class RingHost:
-    """The host's side of a camera: hands out buffers of the ring and counts what does not fit."""
-
-    def __init__(self, station: Station, ring: FrameRing, scratch: Counts) -> None:
-        self._station = station
-        self._ring = ring
-        self._scratch = scratch
-        self._current: Counts | None = None
-        self._gap_start = -1
-        self._gap = 0
-
-    def stopping(self) -> bool:
-        """See `Station.stopping`."""
-        return self._station.stopping()
-
-    def buffer(self) -> Counts:
-        """Hand out the next buffer: a slot of the ring, or scratch space when the ring is full."""
-        if self._current is None:
-            self._current = self._ring.claim()
-            # Virtual time waits for the writer; real time cannot.
-            while self._current is None and self._station.clock.is_virtual:
-                self._station.board.add(self._station.index, Cell.HEARTBEAT)
-                if self._station.ordered_to_stop():
-                    break
-                time.sleep(_FULL_RING_POLL_S)
-                self._current = self._ring.claim()
-            if self._current is None:
-                self._current = self._scratch
-        return self._current
-
-    def deliver(self, frame: Frame, trigger_index: int, trigger_ns: int) -> None:
-        """Pass a frame on to the writer, or count it as lost when it did not fit."""
-        buffer = self.buffer()
-        if frame.counts is not buffer:
-            _check_picture(self._station.name, frame.counts, buffer)
-            np.copyto(buffer, frame.counts)
-        self._current = None
-        if buffer is self._scratch:
-            if self._gap == 0:
-                self._gap_start = trigger_index if trigger_index >= 0 else frame.counter
-            self._gap += 1
-            self._station.board.add(self._station.index, Cell.RING_FULL)
-            return
-        self.close_gap()
-        self._ring.publish(
-            (
-                frame.counter,
-                frame.ticks,
-                frame.host_ns,
-                trigger_index,
-                trigger_ns,
-                int(frame.flags),
-                frame.fpa_temperature_k,
-            )
-        )
-
-    def close_gap(self) -> None:
-        """Post the frames lost since the ring was full as one event."""
-        if self._gap:
-            detail = f"{self._gap} frames lost: the writer was late"
-            self._station.event(EventKind.RING_FULL, self._gap_start, detail)
-            self._gap = 0
-
-
-def _check_picture(name: str, counts: object, buffer: Counts) -> None:
-    if not (isinstance(counts, np.ndarray) and counts.shape == buffer.shape and counts.dtype == buffer.dtype):
-        found = f"{counts.shape} {counts.dtype}" if isinstance(counts, np.ndarray) else type(counts).__name__
-        raise DeviceFault(name, "acquire", f"delivered {found} instead of {buffer.shape} uint16")
 
 
 class Stream(Generic[_Item]):
@@ -177,6 +61,14 @@ class Stream(Generic[_Item]):
         self._failures = 0
         return item
 
+    def end(self) -> None:
+        """End the generator of a device that is lost, and forget the losses that it announced."""
+        stream, self._stream = self._stream, None
+        if isinstance(stream, Generator):
+            with suppress(Exception):
+                stream.close()
+        self.take_announced()
+
     def take_announced(self) -> tuple[int, bool]:
         """Losses that faults announced since the last call, and whether one was an overrun."""
         announced = self._announced, self._overrun
@@ -196,123 +88,30 @@ class Stream(Generic[_Item]):
             self._station.lost(Cell.INCOMPLETE, EventKind.INCOMPLETE, 1, index, fault.what)
 
 
-class CameraLoop:
-    """Runs one camera: fires its software triggers, takes its frames, finds its gaps."""
-
-    def __init__(
-        self,
-        camera: Camera,
-        station: Station,
-        host: RingHost,
-        order: ArmOrder,
-        priority: TriggerPriority | None,
-    ) -> None:
-        self._camera = camera
-        self._station = station
-        self._host = host
-        self._order = order
-        self._priority = priority
-        self._frames = Stream(station, lambda: camera.frames(host))
-        self._counter = -1
-        self._was_shuttered = False
-        self._fired: dict[int, int] = {}
-
-    def run(self, start_ns: int) -> None:
-        """Take frames until the order is fulfilled or the recorder says stop."""
-        if self._order.mode is TriggerMode.SOFTWARE:
-            self._run_software(start_ns)
-        else:
-            self._run_following(start_ns)
-        self._host.close_gap()
-
-    def _run_software(self, start_ns: int) -> None:
-        """Absolute deadlines; a trigger that is too late is skipped and never caught up."""
-        station, order = self._station, self._order
-        raised = self._priority.raised if self._priority else nullcontext
-        index = 0
-        while order.count is None or index < order.count:
-            deadline = start_ns + round(index * NS_PER_S / order.rate_hz)
-            with raised():
-                fired_ns = station.clock.wait_until_ns(deadline, station.stopping)
-                late_ns = fired_ns - deadline
-                # Nothing else between the reading of the time and the trigger; a negative value means stop.
-                if 0 <= late_ns <= order.late_after_ns:
-                    self._camera.trigger(index)
-            if station.stopping():
-                return
-            if late_ns > order.late_after_ns:
-                detail = f"skipped: {late_ns / 1000:.0f} us late"
-                station.lost(Cell.LATE_TRIGGER, EventKind.LATE_TRIGGER, 1, index, detail)
-            else:
-                station.board.note_trigger(station.index, index, fired_ns)
-                self._fired[index] = fired_ns
-                self._fired.pop(index - _TRIGGERS_REMEMBERED, None)
-                frame = self._frames.next(index)
-                if frame is not None:
-                    self._take(frame, index)
-                elif station.stopping():
-                    return
-            index += 1
-
-    def _run_following(self, start_ns: int) -> None:
-        """Free run from the common start, or frames that a line triggers from now on."""
-        if self._order.mode is TriggerMode.FREE_RUN:
-            self._station.clock.wait_until_ns(start_ns, self._station.stopping)
-        taken = 0
-        while not self._station.stopping() and (self._order.count is None or taken < self._order.count):
-            frame = self._frames.next(taken)
-            if frame is not None:
-                self._take(frame, -1)
-                taken += 1
-
-    def _take(self, frame: Frame, trigger_index: int) -> None:
-        """Deliver a frame; the driver's own trigger index, if it knows one, is the better one."""
-        station = self._station
-        index = frame.trigger_index if frame.trigger_index >= 0 else trigger_index
-        self._note_gap(frame, index)
-        shuttered = bool(frame.flags & FrameFlag.SHUTTER)
-        if shuttered and not self._was_shuttered:
-            station.event(EventKind.SHUTTER, index, "shutter closed")
-        self._was_shuttered = shuttered
-        self._host.deliver(frame, index, self._fired.get(index, -1))
-        station.board.add(station.index, Cell.RECEIVED)
-        station.board.put(station.index, Cell.LAST_HOST_NS, frame.host_ns)
-
-    def _note_gap(self, frame: Frame, index: int) -> None:
-        """Losses inside the device show as a jump of its counter; some were announced by a fault."""
-        if frame.flags & FrameFlag.INCOMPLETE:
-            detail = "frame arrived damaged; it is stored and flagged"
-            self._station.event(EventKind.INCOMPLETE, index, detail)
-        announced, overrun = self._frames.take_announced()
-        previous, self._counter = self._counter, frame.counter
-        if previous < 0 or frame.counter < 0:
-            return
-        lost = lost_between(previous, frame.counter, self._camera.capabilities.counter_bits)
-        if lost < 0:
-            detail = f"counter went from {previous} to {frame.counter}: the camera was restarted"
-            self._station.event(EventKind.NOTE, index, detail)
-        elif lost > announced:
-            cell, kind = (
-                (Cell.OVERRUN, EventKind.OVERRUN) if overrun else (Cell.DEVICE_GAP, EventKind.DEVICE_GAP)
-            )
-            detail = f"{lost - announced} frames lost before this one"
-            self._station.lost(cell, kind, lost - announced, index, detail)
-
-
 class ProbeLoop:
-    """Runs one probe: takes its blocks, refuses garbage, finds its gaps."""
+    """Runs one probe: takes its blocks, refuses garbage, finds its gaps, has it brought back."""
 
-    def __init__(self, probe: WaveProbe, station: Station) -> None:
+    def __init__(self, probe: WaveProbe, station: Station, lifeline: Lifeline) -> None:
         self._probe = probe
         self._station = station
+        self._lifeline = lifeline
         self._blocks = Stream(station, lambda: probe.samples(station))
         self._next_index = -1
+        # What its own count lacks since it was armed again.
+        self._before = 0
+        self._first_ns = self._last_ns = 0
 
     def run(self) -> None:
         """Take blocks until told to stop."""
         station = self._station
         while not station.stopping():
-            block = self._blocks.next(self._next_index)
+            try:
+                block = self._blocks.next(self._next_index)
+            except LOST as fault:
+                self._blocks.end()
+                if not self._lifeline.bring_back(fault, self._next_index, station.end_ns, self._probe.arm):
+                    return
+                continue
             if block is None:
                 continue
             try:
@@ -320,15 +119,94 @@ class ProbeLoop:
             except (ValueError, TypeError) as error:
                 station.lost(Cell.INCOMPLETE, EventKind.INCOMPLETE, 1, self._next_index, f"garbage: {error}")
                 continue
-            samples = block.ticks.size
-            lost = block.first_index - self._next_index if self._next_index >= 0 else 0
-            if lost > 0:
-                detail = f"{lost} samples lost before this one"
-                station.lost(Cell.PROBE_GAP, EventKind.PROBE_GAP, lost, block.first_index, detail)
-            self._next_index = block.first_index + samples
-            station.board.add(station.index, Cell.RECEIVED, samples)
-            station.board.put(station.index, Cell.LAST_HOST_NS, block.host_ns)
-            station.outbox.post_patiently(Samples(block), station.ordered_to_stop)
+            self._take(block)
+
+    def _take(self, block: SampleBlock) -> None:
+        """Deliver a block of samples, numbered on after an outage."""
+        station, samples = self._station, block.ticks.size
+        if self._lifeline.is_away:
+            self._before = max(0, self._next_index) - block.first_index
+            self._lifeline.deliver(self._missed(block), max(0, self._next_index), "samples")
+        first_index = block.first_index + self._before
+        lost = first_index - self._next_index if self._next_index >= 0 else 0
+        if lost > 0:
+            detail = f"{lost} samples lost before this one"
+            station.lost(Cell.PROBE_GAP, EventKind.PROBE_GAP, lost, first_index, detail)
+        self._next_index = first_index + samples
+        self._first_ns, self._last_ns = self._first_ns or block.host_ns, block.host_ns
+        station.board.add(station.index, Cell.RECEIVED, samples)
+        station.board.put(station.index, Cell.LAST_HOST_NS, block.host_ns)
+        if self._before:
+            block = replace(block, first_index=first_index)
+        station.outbox.post_patiently(Samples(block), station.ordered_to_stop)
+
+    def _missed(self, block: SampleBlock) -> int:
+        """Samples missing in an outage, by the rate at which they came before; 0 when that is not known."""
+        before_ns = self._last_ns - self._first_ns
+        if before_ns <= 0:
+            return 0
+        rate = self._station.board.get(self._station.index, Cell.RECEIVED) / before_ns
+        return max(0, round((block.host_ns - self._last_ns) * rate) - block.ticks.size)
+
+
+class TriggerLoop:
+    """Runs the trigger source: passes its pulses on, has it brought back."""
+
+    def __init__(self, source: TriggerSource, station: Station, order: ArmOrder, lifeline: Lifeline) -> None:
+        self._source = source
+        self._station = station
+        self._order = order
+        self._lifeline = lifeline
+        self._start_ns = 0
+        self._emitted = 0
+        self._before = 0
+
+    def run(self, start_ns: int) -> None:
+        """Let it emit its pulses, from the common start on."""
+        self._start_ns = start_ns
+        self._station.clock.wait_until_ns(start_ns, self._station.stopping)
+        while not self._station.stopping():
+            pulses = self._source.pulses(self._station)
+            try:
+                self._pass_on(pulses)
+                return
+            except LOST as fault:
+                if not self._lifeline.bring_back(fault, self._emitted, self._end_ns(), self._rearm):
+                    return
+
+    def _rearm(self) -> None:
+        """Arm the source for the pulses that are left until the end; they are numbered on."""
+        left = self._order.count
+        if left is not None:
+            left = max(1, left - self._places())
+        now_ns = self._station.clock.now_ns()
+        self._station.board.give(Order.PULSES_SINCE_NS, now_ns)
+        self._station.board.give(Order.PULSES_BEFORE, self._emitted)
+        self._before = self._emitted
+        self._source.arm(self._order.rate_hz, left)
+
+    def _pass_on(self, pulses: Iterator[TriggerPulse]) -> None:
+        station = self._station
+        for pulse in pulses:
+            if self._lifeline.is_away:
+                self._lifeline.deliver(max(0, self._places() - self._emitted), self._emitted, "pulses")
+            index = pulse.index + self._before
+            station.outbox.post(Pulse(index, pulse.host_ns))
+            self._emitted = index + 1
+            station.board.add(station.index, Cell.RECEIVED)
+            station.board.put(station.index, Cell.LAST_HOST_NS, pulse.host_ns)
+            if station.stopping():
+                return
+
+    def _places(self) -> int:
+        """Pulses that were due by now."""
+        since_ns = self._station.clock.now_ns() - self._start_ns
+        return int(since_ns * self._order.rate_hz / NS_PER_S)
+
+    def _end_ns(self) -> int | None:
+        if self._order.count is None:
+            return None
+        return self._start_ns + round(self._order.count * NS_PER_S / self._order.rate_hz)
 
 
 def check_block(block: object, channels: int) -> SampleBlock:
@@ -347,14 +225,3 @@ def check_block(block: object, channels: int) -> SampleBlock:
     if not np.all(np.isfinite(values)):
         raise ValueError("values that are not finite")
     return SampleBlock(values, ticks, int(block.first_index), int(block.host_ns), pulses)
-
-
-def run_trigger_source(source: TriggerSource, station: Station, start_ns: int) -> None:
-    """Let a trigger source emit its pulses, from the common start on."""
-    station.clock.wait_until_ns(start_ns, station.stopping)
-    for pulse in source.pulses(station):
-        station.outbox.post(Pulse(pulse.index, pulse.host_ns))
-        station.board.add(station.index, Cell.RECEIVED)
-        station.board.put(station.index, Cell.LAST_HOST_NS, pulse.host_ns)
-        if station.stopping():
-            return

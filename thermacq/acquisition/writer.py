@@ -157,7 +157,7 @@ class Drain:
             **order.summary,
             "end_reason": order.end_reason.value,
             "message": order.message,
-            "sync": self._sync_report(),
+            "sync": {**self._sync_report(), "outages": list(order.outages)},
             "events": dict(self._events),
             "pulses": int(self._pulses.host_ns.size),
             "writer": {name: round(value, 4) for name, value in self._slowest.items()},
@@ -243,6 +243,8 @@ class Drain:
     def _take_message(self, name: str, message: object) -> None:
         if isinstance(message, Event):
             self._append_event(message)
+            if message.kind is EventKind.RECONNECTED and name in self._probes:
+                self._probes[name][1].restarts_ns.append(message.host_ns)
         elif isinstance(message, Samples):
             block = message.block
             self._run.append_samples(

@@ -217,6 +217,7 @@ def sync_lines(report: dict[str, Any]) -> list[str]:
         written = f", written {device['written']}" if "written" in device else ""
         lost = _losses(device["lost"])
         lines.append(f"{name:12} received {device['received']}{written}, lost {lost}")
+    lines += [f"away         {_outage(outage)}" for outage in report.get("outages", ())]
     for name, clock in report["clocks"].items():
         if clock:
             lines.append(
@@ -224,6 +225,16 @@ def sync_lines(report: dict[str, Any]) -> list[str]:
                 f"residual {clock['residual_ns'] / 1000:.3g} us, from {clock['method']}"
             )
     return lines
+
+
+def _outage(outage: dict[str, Any]) -> str:
+    """One time for which a device was away, in words."""
+    since = f"{outage['device']}: from {outage['lost_s']:.2f} s"
+    if not outage["came_back"]:
+        return f"{since}, never back"
+    changed = ", ".join(f"{key} = {value}" for key, value in outage["changed"].items())
+    settings = f"settings changed: {changed}" if changed else "settings as before"
+    return f"{since} for {outage['away_s']:.2f} s, {outage['missed']} missed, {settings}"
 
 
 def _losses(lost: dict[str, int]) -> str:

@@ -42,12 +42,25 @@ class TriggerTable(_Table):
     )
 
 
+class ReconnectTable(_Table):
+    """What happens when a device is unplugged, or falls silent, during a recording."""
+
+    policy: Literal["host_wins", "device_wins", "fail"] = Field(
+        "host_wins",
+        description="back with the rig's settings; back with those that it has; or not at all",
+    )
+    give_up_after_s: float = Field(
+        30.0, gt=0, le=3600, description="a device that is away for longer is lost for good"
+    )
+
+
 class CameraTable(_Table):
     """One camera."""
 
     driver: str
     serial: str = Field("", description="expected serial number; empty accepts any")
     pin_to_core: int | None = Field(None, ge=0, description="processor core of its device process")
+    reconnect: ReconnectTable | None = Field(None, description="for this device, in place of the rig's table")
     settings: dict[str, Any] = Field(default_factory=dict, description="settings of the driver")
 
 
@@ -66,6 +79,7 @@ class ProbeTable(_Table):
     coefficient_m_per_unit: float = 1.0
     coefficient_u_rel: float = Field(0.0, ge=0, description="relative standard uncertainty")
     zero_raw: float | None = Field(None, description="raw value of still water; None: mean of the record")
+    reconnect: ReconnectTable | None = None
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -82,6 +96,7 @@ class TriggerSourceTable(_Table):
     driver: str
     serial: str = ""
     pin_to_core: int | None = Field(None, ge=0)
+    reconnect: ReconnectTable | None = None
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -163,6 +178,7 @@ class Rig(_Table):
     name: str = "rig"
     clock: ClockTable = ClockTable()
     trigger: TriggerTable = TriggerTable()
+    reconnect: ReconnectTable = ReconnectTable()
     cameras: dict[DeviceName, CameraTable] = Field(min_length=1)
     pairs: dict[DeviceName, PairTable] = Field(
         default_factory=dict,

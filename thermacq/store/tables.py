@@ -55,7 +55,7 @@ class CameraSink:
         self._last_counter = -1
         self._sequence = 0
 
-    def next_sequence_number(self, counter: int, restarted: bool) -> int:
+    def next_sequence_number(self, counter: int, restarted: bool = False) -> int:
         """Counter without its wraps; a step back of less than half the range stays a step back.
 
         A counter that began anew, because the camera had been away, goes on from the last number.
