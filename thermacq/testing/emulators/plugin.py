@@ -13,7 +13,9 @@ def thermacq_emulators() -> Sequence[Emulator]:
     from thermacq.testing.emulators import (
         boson,
         hsva_logger,
+        labjack_u6,
         modbus_level,
+        p2pro,
         p3,
         pulse_pal,
         seek,
@@ -23,7 +25,9 @@ def thermacq_emulators() -> Sequence[Emulator]:
     modules = (
         boson,
         hsva_logger,
+        labjack_u6,
         modbus_level,
+        p2pro,
         p3,
         pulse_pal,
         seek,
