@@ -94,7 +94,7 @@ class BosonCore:
             self.counter = self.settings.counter_start - 1
             self.rate_hz = _RATE_HZ
             self.last_ffc = 0
-            self._shutter_opens_ns = self.clock.host.now_ns() - 1
+            self._shutter_opens_ns = self._now_ns()
             self._ffc_ran = False
             self._streams = False
 
@@ -157,15 +157,16 @@ class BosonCore:
     def close_shutter(self, seconds: float) -> None:
         """Begin a flat-field correction."""
         with self.lock:
-            self._shutter_opens_ns = self.clock.host.now_ns() + round(seconds * NS_PER_S)
+            self._shutter_opens_ns = self._now_ns() + round(seconds * NS_PER_S)
             self.last_ffc, self._ffc_ran = self.counter, True
 
     def shutter_is_closed(self) -> bool:
         """Whether the correction goes on."""
-        with self.lock:
-            left_ns = self._shutter_opens_ns - self.clock.host.now_ns()
-            # Virtual time that began anew leaves no old correction behind.
-            return 0 < left_ns <= 10 * NS_PER_S
+        return self._now_ns() < self._shutter_opens_ns
+
+    def _now_ns(self) -> int:
+        """Time since the camera came to life; goes on when virtual time begins anew."""
+        return self.clock.ticks(self.clock.host.now_ns(), NS_PER_S)
 
     def ffc_status(self) -> int:
         """0 none, 2 in progress, 3 complete."""
