@@ -1,17 +1,9 @@
 """Pure numerics of calibration: arrays in, frozen records out. Imports nothing of the framework."""
 
-from thermacq_calibration.boards import board_points, check_board
-from thermacq_calibration.correction import BadPixel, CameraCorrection, load_correction
-from thermacq_calibration.corrector import Corrector
-from thermacq_calibration.detection import Detection, NoBoard
 from thermacq_calibration.errors import CalibrationError
-from thermacq_calibration.judgement import findings
-from thermacq_calibration.models import Board, BoardKind, CameraModel, ViewReport
-from thermacq_calibration.nonuniformity import make_correction, update_offset, with_outliers
-from thermacq_calibration.pattern_growth import PatternGrowth, fit_growth, growth_warning
-from thermacq_calibration.radiometry import RadiometricScale, radiometric_scale
-from thermacq_calibration.record import StereoCalibration, load_calibration
-from thermacq_calibration.rectification import (
+from thermacq_calibration.geometry.judgement import findings
+from thermacq_calibration.geometry.record import StereoCalibration, load_calibration
+from thermacq_calibration.geometry.rectification import (
     Rectification,
     Resampling,
     apply,
@@ -19,15 +11,23 @@ from thermacq_calibration.rectification import (
     rectify_points,
     vertical_differences_px,
 )
-from thermacq_calibration.reference_view import ReferenceView, observe
-from thermacq_calibration.shading import with_shading
-from thermacq_calibration.stereo import View, calibrate_stereo
-from thermacq_calibration.targets import (
+from thermacq_calibration.geometry.stereo import View, calibrate_stereo
+from thermacq_calibration.infrared.correction import BadPixel, CameraCorrection, load_correction
+from thermacq_calibration.infrared.corrector import Corrector
+from thermacq_calibration.infrared.nonuniformity import make_correction, update_offset, with_outliers
+from thermacq_calibration.infrared.pattern_growth import PatternGrowth, fit_growth, growth_warning
+from thermacq_calibration.infrared.radiometry import RadiometricScale, radiometric_scale
+from thermacq_calibration.infrared.reference_view import ReferenceView, observe
+from thermacq_calibration.infrared.shading import with_shading
+from thermacq_calibration.infrared.uniformity import Uniformity, uniformity
+from thermacq_calibration.models import Board, BoardKind, CameraModel, ViewReport
+from thermacq_calibration.targets.boards import board_points, check_board
+from thermacq_calibration.targets.detection import Detection, NoBoard
+from thermacq_calibration.targets.targets import (
     FRAMES_TO_AVERAGE,
     average,
     detect_board,
 )
-from thermacq_calibration.uniformity import Uniformity, uniformity
 
 __all__ = [
     "FRAMES_TO_AVERAGE",

@@ -176,9 +176,7 @@ class SerialAsciiProbe:
 
     def samples(self, host: StreamHost) -> Iterator[SampleBlock]:
         """Yield what is printed; lines that do not fit leave a gap in the count."""
-        port, settings = self._require_port("acquire"), self._settings
-        if not self._armed:
-            raise DeviceFault(self._name, "acquire", "it is not armed")
+        port, settings = self._require_armed(), self._settings
         splitter, pattern = LineSplitter(settings.line_end.encode()), re.compile(settings.pattern)
         good_s, asked_s = time.monotonic(), -np.inf
         while self._armed and not host.stopping():
@@ -219,6 +217,11 @@ class SerialAsciiProbe:
         if self._port is not None:
             self._port.close()
             self._port = None
+
+    def _require_armed(self) -> SerialPort:
+        if not self._armed:
+            raise DeviceFault(self._name, "acquire", "it is not armed")
+        return self._require_port("acquire")
 
     def _require_port(self, stage: str) -> SerialPort:
         if self._port is None:

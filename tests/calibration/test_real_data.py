@@ -14,7 +14,7 @@ from thermacq_calibration import (
     detect_board,
     vertical_differences_px,
 )
-from thermacq_calibration.acceptance import acceptance, verdict
+from thermacq_calibration.geometry.acceptance import acceptance, verdict
 
 
 def grey(path):

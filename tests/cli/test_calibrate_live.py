@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from thermacq.cli.app import app
 from thermacq.cli.calibrate_live import picture
 from thermacq_calibration import NoBoard, View
-from thermacq_calibration.guidance import guidance
+from thermacq_calibration.targets.guidance import guidance
 
 
 def words(judged, last):

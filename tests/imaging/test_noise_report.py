@@ -16,7 +16,7 @@ from thermacq.imaging.noise_report import noise_report
 from thermacq.imaging.noise_tables import camera_rows, component_rows
 from thermacq.imaging.references import Reference
 from thermacq_calibration import CalibrationError
-from thermacq_calibration.noise import COMPONENTS
+from thermacq_calibration.infrared.noise import COMPONENTS
 
 # Of the cameras in conftest.py.
 DEAD = (20, 30)

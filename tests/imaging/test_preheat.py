@@ -13,7 +13,7 @@ from thermacq.imaging.preheat import PreheatMonitor, override_of
 from thermacq.imaging.preheat_drawing import save_warm_up
 from thermacq.rig import Rig
 from thermacq.store import CameraStream, Event, EventKind, FrameRow, RunHeader, RunWriter, open_run
-from thermacq_calibration.preheat import Grade, PreheatLimits
+from thermacq_calibration.infrared.preheat import Grade, PreheatLimits
 
 LIMITS = PreheatLimits(minimum_s=600.0)
 SCALE = 100.0

@@ -13,7 +13,7 @@ import pytest
 from thermacq.errors import StoreError
 from thermacq.report.calibration_page import ShownView, render, views_to_show, write_calibration_page
 from thermacq_calibration import NoBoard, StereoCalibration, calibrate_stereo, load_calibration
-from thermacq_calibration.residuals import residuals
+from thermacq_calibration.geometry.residuals import residuals
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 

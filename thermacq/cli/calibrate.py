@@ -165,7 +165,7 @@ def _calibrate(
 
     from thermacq.reconstruction.views import detect_views
     from thermacq_calibration import CalibrationError, calibrate_stereo, check_board
-    from thermacq_calibration.judgement import refuse_impossible_square
+    from thermacq_calibration.geometry.judgement import refuse_impossible_square
 
     check_board(board)
     refuse_impossible_square(board)
@@ -253,7 +253,7 @@ def _named(board: Board) -> str:
 def _miscount(pictures: Sequence[PictureView], board: Board) -> str:
     """Say with which corner counts boards are found in the first pictures, if with any."""
     from thermacq.errors import ImportDataError
-    from thermacq_calibration.targets import similar_boards
+    from thermacq_calibration.targets.targets import similar_boards
 
     for load in [picture.left for picture in pictures if picture.left][:3]:
         try:

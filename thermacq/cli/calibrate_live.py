@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from thermacq.acquisition import Session
     from thermacq.reconstruction.growing_views import GrowingViews
     from thermacq_calibration import Board, View
-    from thermacq_calibration.guidance import Guidance
+    from thermacq_calibration.targets.guidance import Guidance
 
 _POLL_S = 0.2
 _BAR_WIDTH = 24
@@ -75,7 +75,7 @@ def _guide(session: Session, growing: GrowingViews, board: Board) -> None:
     from rich.live import Live
     from rich.markup import escape
 
-    from thermacq_calibration.guidance import guidance
+    from thermacq_calibration.targets.guidance import guidance
 
     session.follow(until="recording")
     with Live("waiting for the first view ...", console=err, refresh_per_second=4) as shown:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from thermacq.evaluation.probe_steps import ProbeSteps
-    from thermacq_calibration.probe_record import CoefficientSpread, ProbeCalibration
+    from thermacq_calibration.probes.probe_record import CoefficientSpread, ProbeCalibration
 
 AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 _LEAST_HISTORY = 3
@@ -54,8 +54,8 @@ def probe(
 ) -> None:
     """Calibrate a wave probe by static immersion: straight line from raw values to metres, with its errors."""
     from thermacq.reconstruction.outputs import check_new_file
-    from thermacq_calibration.probe_line import fit_probe_line, judge_line
-    from thermacq_calibration.probe_record import ProbeCalibration
+    from thermacq_calibration.probes.probe_line import fit_probe_line, judge_line
+    from thermacq_calibration.probes.probe_record import ProbeCalibration
 
     for path in (output, toml):
         if path is not None:
@@ -100,7 +100,7 @@ def probe_drift(
     Exit status 3 when either changed by more than twice the standard uncertainty of the change.
     """
     from thermacq.cli.common import EXIT_FINDINGS
-    from thermacq_calibration.probe_record import load_probe_calibration, probe_drift
+    from thermacq_calibration.probes.probe_record import load_probe_calibration, probe_drift
 
     drift = probe_drift(load_probe_calibration(before), load_probe_calibration(after))
     drifted = drift.zero_significant or drift.coefficient_significant
@@ -165,7 +165,7 @@ def _earlier(folder: Path, made: ProbeCalibration) -> list[ProbeCalibration]:
     """Earlier calibrations of the same probe in a folder, oldest first; other files are passed over."""
     from thermacq.errors import StoreError
     from thermacq_calibration import CalibrationError
-    from thermacq_calibration.probe_record import load_probe_calibration, probe_drift
+    from thermacq_calibration.probes.probe_record import load_probe_calibration, probe_drift
 
     if not folder.is_dir():
         raise StoreError(f"there is no folder '{folder}'", kept="No file was written.")
@@ -184,7 +184,7 @@ def _earlier(folder: Path, made: ProbeCalibration) -> list[ProbeCalibration]:
 
 
 def _spread(records: Sequence[ProbeCalibration]) -> CoefficientSpread | None:
-    from thermacq_calibration.probe_record import coefficient_spread
+    from thermacq_calibration.probes.probe_record import coefficient_spread
 
     return coefficient_spread(records) if len(records) >= _LEAST_HISTORY else None
 

@@ -74,9 +74,9 @@ def diff(
     from dataclasses import asdict
 
     from thermacq_calibration import load_calibration
-    from thermacq_calibration.bundle import Geometry
-    from thermacq_calibration.differences import compare, projection_difference
-    from thermacq_calibration.uncertainty import WORKING_DISTANCE_M
+    from thermacq_calibration.geometry.bundle import Geometry
+    from thermacq_calibration.geometry.differences import compare, projection_difference
+    from thermacq_calibration.geometry.uncertainty import WORKING_DISTANCE_M
 
     one, other = load_calibration(first), load_calibration(second)
     changes = compare(one, other)

@@ -10,14 +10,14 @@ from thermacq.cli.common import out, warn
 if TYPE_CHECKING:
     from thermacq.reconstruction.calibration_check import CalibrationCheck
     from thermacq_calibration import StereoCalibration
-    from thermacq_calibration.differences import Change, Difference
+    from thermacq_calibration.geometry.differences import Change, Difference
 
 _COLOURS = {"excellent": "green", "pass": "green", "fail": "bold red", "unknown": "yellow"}
 
 
 def record_values(calibration: StereoCalibration, still_water_sigma_m: float | None = None) -> dict[str, Any]:
     """The record and its acceptance table as plain values, for JSON."""
-    from thermacq_calibration.acceptance import acceptance, table_values
+    from thermacq_calibration.geometry.acceptance import acceptance, table_values
 
     return {**calibration.to_dict(), "acceptance": table_values(acceptance(calibration, still_water_sigma_m))}
 
@@ -48,7 +48,7 @@ def show_record(calibration: StereoCalibration, still_water_sigma_m: float | Non
 
 
 def _show_acceptance(calibration: StereoCalibration, still_water_sigma_m: float | None) -> None:
-    from thermacq_calibration.acceptance import acceptance, verdict
+    from thermacq_calibration.geometry.acceptance import acceptance, verdict
 
     rows = acceptance(calibration, still_water_sigma_m)
     if not rows:

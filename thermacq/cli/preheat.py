@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from thermacq.acquisition import Session
     from thermacq.imaging.preheat import PreheatMonitor, PreheatStatus
-    from thermacq_calibration.preheat import Criterion
+    from thermacq_calibration.infrared.preheat import Criterion
 
 _LOOK_S = 0.5
 _RING_FRAMES = 60
@@ -71,7 +71,7 @@ def preheat(
     """
     from thermacq.imaging.noise_drawing import check_output
     from thermacq.imaging.preheat import PreheatMonitor
-    from thermacq_calibration.preheat import PreheatLimits
+    from thermacq_calibration.infrared.preheat import PreheatLimits
 
     is_live = source.suffix.lower() == ".toml"
     if is_live and output is None:

@@ -13,8 +13,8 @@ from thermacq.errors import StoreError
 from thermacq.evaluation.series import Series
 from thermacq.evaluation.textseries import read_columns, read_series
 from thermacq.store import open_run
-from thermacq_calibration.immersion_steps import StepReading, find_steps, given_steps
-from thermacq_calibration.probe_line import check_immersions
+from thermacq_calibration.probes.immersion_steps import StepReading, find_steps, given_steps
+from thermacq_calibration.probes.probe_line import check_immersions
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from thermacq.errors import CorrectionError
 from thermacq.imaging.noise_tables import camera_rows, component_rows
-from thermacq_calibration.noise import COMPONENTS
+from thermacq_calibration.infrared.noise import COMPONENTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

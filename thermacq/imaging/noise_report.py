@@ -19,14 +19,14 @@ from thermacq.imaging.making import view_of_camera
 from thermacq.imaging.references import Reference, frames_of
 from thermacq.store import RunFile, open_run
 from thermacq_calibration import BadPixel, CameraCorrection
-from thermacq_calibration.bad_pixels import (
+from thermacq_calibration.infrared.bad_pixels import (
     blinking_pixels,
     dead_pixels,
     noisy_pixels,
     outlying_pixels,
 )
-from thermacq_calibration.noise import COMPONENTS, Noise3D, NoiseAccumulator
-from thermacq_calibration.noise_figures import (
+from thermacq_calibration.infrared.noise import COMPONENTS, Noise3D, NoiseAccumulator
+from thermacq_calibration.infrared.noise_figures import (
     Figure,
     Sitf,
     fit_sitf,
@@ -36,8 +36,8 @@ from thermacq_calibration.noise_figures import (
     netd_from_differences,
     residual_non_uniformity,
 )
-from thermacq_calibration.reference_view import ReferenceView, observe
-from thermacq_calibration.uniformity import correct_mean, large_scale
+from thermacq_calibration.infrared.reference_view import ReferenceView, observe
+from thermacq_calibration.infrared.uniformity import correct_mean, large_scale
 
 WANTED_FRAMES = 64
 _SPECTRUM_PAIRS = 16

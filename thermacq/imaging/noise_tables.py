@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from thermacq_calibration.noise import COMPONENTS
+from thermacq_calibration.infrared.noise import COMPONENTS
 
 if TYPE_CHECKING:
     from thermacq.imaging.noise_report import CameraNoise
-    from thermacq_calibration.noise_figures import Figure
+    from thermacq_calibration.infrared.noise_figures import Figure
 
 _MEANING = {
     "t": "whole frames",

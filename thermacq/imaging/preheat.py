@@ -14,13 +14,13 @@ from thermacq.devices import FrameFlag
 from thermacq.errors import CorrectionError
 from thermacq.imaging.corrections import corrections_of
 from thermacq.store import EventKind, RunFile, open_run
-from thermacq_calibration.preheat import (
+from thermacq_calibration.infrared.preheat import (
     Grade,
     Preheat,
     PreheatLimits,
     judge_preheat,
 )
-from thermacq_calibration.warm_up import WarmUp
+from thermacq_calibration.infrared.warm_up import WarmUp
 
 OVERRIDE = "preheat override"
 """Beginning of the event that tells why somebody went on without a go."""

@@ -9,13 +9,13 @@ import numpy as np
 
 from thermacq.imaging.noise_drawing import BLUE, GREEN, ORANGE, STYLE, check_output, draw_warm_up
 from thermacq.imaging.preheat import PreheatMonitor, PreheatStatus
-from thermacq_calibration.preheat import preheat_history
+from thermacq_calibration.infrared.preheat import preheat_history
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from thermacq_calibration.preheat import Preheat
+    from thermacq_calibration.infrared.preheat import Preheat
 
 
 def save_warm_up(monitor: PreheatMonitor, status: PreheatStatus, output: Path) -> None:

@@ -15,7 +15,7 @@ from thermacq.reconstruction.matching import PairReader
 from thermacq.reconstruction.pairs import camera_sides, find_calibration, run_pairs
 from thermacq.store import RunFile, open_run
 from thermacq_calibration import StereoCalibration, apply, rectify
-from thermacq_calibration.rows import RowAgreement, match_rows, row_agreement
+from thermacq_calibration.geometry.rows import RowAgreement, match_rows, row_agreement
 
 PAIRS = 8
 """So many pairs of a recording are looked at, spread over its length."""

@@ -14,7 +14,7 @@ from thermacq.reconstruction.pairs import RunPairs, run_pairs
 from thermacq.reconstruction.views import mean_picture, middle_of
 from thermacq.store import RunFile, open_run
 from thermacq_calibration import FRAMES_TO_AVERAGE, Board, View, detect_board
-from thermacq_calibration.poses import changes, still_stretches
+from thermacq_calibration.targets.poses import changes, still_stretches
 
 
 class GrowingViews:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from thermacq.errors import ReconstructionError
 from thermacq.reconstruction.shared_board import BoardCorners, common_corners
 from thermacq.reconstruction.world import WorldFrame
-from thermacq_calibration.rigid_motion import RigidMotion, fit_rigid_motion
+from thermacq_calibration.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 
 _STEP = 1e-6
 _DOUBTFUL = 4.0

@@ -33,7 +33,7 @@ from thermacq_calibration import (
     average,
     detect_board,
 )
-from thermacq_calibration.poses import changes, still_stretches
+from thermacq_calibration.targets.poses import changes, still_stretches
 
 Picture: TypeAlias = NDArray[Any]
 Load: TypeAlias = Callable[[], Picture]

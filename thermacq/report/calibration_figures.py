@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from thermacq_calibration import StereoCalibration
-    from thermacq_calibration.residuals import Residuals
+    from thermacq_calibration.geometry.residuals import Residuals
 
 _CELLS = (8, 6)
 _MAX_ARROWS = 1200

@@ -72,7 +72,7 @@ def render(calibration: StereoCalibration, shown: Sequence[ShownView] = ()) -> s
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     from thermacq_calibration import findings
-    from thermacq_calibration.acceptance import acceptance, verdict
+    from thermacq_calibration.geometry.acceptance import acceptance, verdict
 
     environment = Environment(
         loader=PackageLoader("thermacq.report", "templates"),
@@ -119,7 +119,7 @@ def _figures(calibration: StereoCalibration) -> tuple[dict[str, Any], float]:
     """Figures by name, as far as the record has their data; and how much arrows are enlarged."""
     from markupsafe import Markup
 
-    from thermacq_calibration.residuals import residuals
+    from thermacq_calibration.geometry.residuals import residuals
 
     drawn, enlarged = {}, 1.0
     found = residuals(calibration)

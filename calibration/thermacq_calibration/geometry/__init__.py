@@ -1,0 +1,1 @@
+"""The geometry of a pair from its views: solving, distortion, uncertainty, acceptance, the record, rectification."""
