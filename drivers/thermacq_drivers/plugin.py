@@ -28,6 +28,7 @@ def thermacq_drivers() -> Sequence[Driver]:
         seek,
         serial_ascii,
         testpattern,
+        uvc,
     )
     from thermacq_drivers.simflume.drivers import DRIVERS
 
@@ -43,6 +44,7 @@ def thermacq_drivers() -> Sequence[Driver]:
         seek,
         serial_ascii,
         testpattern,
+        uvc,
     )
     return (*(module.DRIVER for module in modules), *DRIVERS)
 

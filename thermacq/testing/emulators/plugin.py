@@ -20,6 +20,7 @@ def thermacq_emulators() -> Sequence[Emulator]:
         pulse_pal,
         seek,
         serial_ascii,
+        uvc,
     )
 
     modules = (
@@ -32,5 +33,6 @@ def thermacq_emulators() -> Sequence[Emulator]:
         pulse_pal,
         seek,
         serial_ascii,
+        uvc,
     )
     return tuple(module.EMULATOR for module in modules)
