@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import welch
 
-from thermacq_calibration.noise import noise_3d
+from thermacq_calibration.infrared.noise import noise_3d
 from thermacq_drivers.simflume.bolometer import lagged_temperature
 from thermacq_drivers.simflume.drift import Flicker
 from thermacq_drivers.simflume.lens import build_lens
