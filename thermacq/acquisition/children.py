@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -186,6 +187,11 @@ class DeviceChild:
         if heartbeat != self._heartbeat:
             self._heartbeat, self._heard_s = heartbeat, time.monotonic()
         return time.monotonic() - self._heard_s
+
+
+def faults_of(devices: Sequence[DeviceChild]) -> str:
+    """What those of them that are lost said last."""
+    return "; ".join(device.fault.what for device in devices if device.fault)
 
 
 def spawn_device(spec: DeviceSpec, board: Board) -> tuple[DeviceChild, Connection]:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from thermacq.acquisition import plan
 from thermacq.acquisition.board import Board, Cell, Order
-from thermacq.acquisition.children import Child, DeviceChild, spawn_device, spawn_writer
+from thermacq.acquisition.children import Child, DeviceChild, faults_of, spawn_device, spawn_writer
 from thermacq.acquisition.control import Desk
 from thermacq.acquisition.job import Job, RecordingResult
 from thermacq.acquisition.messages import (
@@ -277,10 +277,10 @@ class Recorder:
         )
 
     def _explain(self, reason: EndReason) -> str:
-        faults = "; ".join(device.fault.what for device in self._devices if device.fault)
+        cameras, sources = self._of_kind(DeviceKind.CAMERA), self._of_kind(DeviceKind.TRIGGER_SOURCE)
         return {
-            EndReason.CAMERA_LOST: f"a camera was lost: {faults}",
-            EndReason.TRIGGER_LOST: f"the trigger source was lost: {faults}",
+            EndReason.CAMERA_LOST: f"a camera was lost: {faults_of(cameras)}",
+            EndReason.TRIGGER_LOST: f"the trigger source was lost: {faults_of(sources)}",
             EndReason.STOPPED: "stopped on request",
             EndReason.DISK_RESERVE: (
                 f"the disk is filled to its reserve of {self._job.rig.store.reserve_mb:.0f} MB"
@@ -390,10 +390,8 @@ class Recorder:
     def _writer_loss(self) -> AcquisitionError:
         how = self._writer.obituary() if self._writer and self._writer.gone else "it hangs"
         path = self._job.output
-        committed = ", ".join(
-            f"{camera.name} {self._board.get(camera.spec.index, Cell.WRITTEN)}"
-            for camera in self._of_kind(DeviceKind.CAMERA)
-        )
+        written = ((one.name, one.spec.index) for one in self._of_kind(DeviceKind.CAMERA))
+        committed = ", ".join(f"{name} {self._board.get(index, Cell.WRITTEN)}" for name, index in written)
         return AcquisitionError(
             f"the writer was lost: {how}",
             kept=f"Everything committed is in '{path}'; frames: {committed}.",

@@ -100,6 +100,8 @@ class ProbeLoop:
         # What its own count lacks since it was armed again.
         self._before = 0
         self._first_ns = self._last_ns = 0
+        # Samples since the first block was received: what its time tells of the rate.
+        self._since_first = 0
 
     def run(self) -> None:
         """Take blocks until told to stop."""
@@ -133,6 +135,7 @@ class ProbeLoop:
             detail = f"{lost} samples lost before this one"
             station.lost(Cell.PROBE_GAP, EventKind.PROBE_GAP, lost, first_index, detail)
         self._next_index = first_index + samples
+        self._since_first += samples if self._first_ns else 0
         self._first_ns, self._last_ns = self._first_ns or block.host_ns, block.host_ns
         station.board.add(station.index, Cell.RECEIVED, samples)
         station.board.put(station.index, Cell.LAST_HOST_NS, block.host_ns)
@@ -145,8 +148,8 @@ class ProbeLoop:
         before_ns = self._last_ns - self._first_ns
         if before_ns <= 0:
             return 0
-        rate = self._station.board.get(self._station.index, Cell.RECEIVED) / before_ns
-        return max(0, round((block.host_ns - self._last_ns) * rate) - block.ticks.size)
+        due = (block.host_ns - self._last_ns) * self._since_first / before_ns
+        return max(0, round(due) - block.ticks.size)
 
 
 class TriggerLoop:

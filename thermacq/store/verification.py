@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from thermacq.errors import StoreError
 from thermacq.store.codec import frame_crc32
 from thermacq.store.reader import RunFile, open_run
-from thermacq.store.records import LOSS_KINDS, FrameTable, ProbeSamples
+from thermacq.store.records import LOSS_KINDS, EventKind, FrameTable, ProbeSamples
 
 Progress = Callable[[int, int], None]
 """Told the number of frames done and to do."""
@@ -187,7 +187,15 @@ def _check_corrections(run: RunFile, report: VerifyReport) -> None:
 def _losses(run: RunFile, report: VerifyReport) -> set[str]:
     """Devices with an event that explains missing frames or samples."""
     try:
-        return {event.device for event in run.events() if event.kind in LOSS_KINDS}
+        told = [event for event in run.events() if event.kind in LOSS_KINDS]
+        explained = {event.device for event in told}
+        back = {event.device for event in told if event.kind is EventKind.RECONNECTED}
+        # While the trigger source is away, pulses that it is believed to have emitted are missing everywhere.
+        return (
+            explained | set(run.cameras)
+            if back & set(run.header.rig.get("trigger_sources", ()))
+            else explained
+        )
     except StoreError as error:
         report.findings.append(Finding("run", f"events: {error.what}"))
         return set()

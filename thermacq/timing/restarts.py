@@ -108,6 +108,21 @@ def fit_device_clock(
     return fit_stretches(edges, received, fit)
 
 
+def pulse_times_ns(clock: DeviceTimes, pulse_ticks: ArrayLike) -> NDArray[np.int64]:
+    """Host times of the pulses that a device stamped, (pulses,) int64 each; none when they cannot be placed.
+
+    Parameters
+    ----------
+    clock
+        Model of its clock.
+    pulse_ticks
+        Its clock at the pulses, in the order of receipt.
+    """
+    models = clock.models if isinstance(clock, RestartedClock) else (clock,)
+    pulses = _pulses_by_stretch(np.asarray(pulse_ticks, np.int64), len(models) - 1)
+    return np.concatenate([model.to_host_ns(part) for model, part in zip(models, pulses, strict=True)])
+
+
 def fit_stretches(
     restarts_ns: NDArray[np.int64],
     received_ns: NDArray[np.int64],

@@ -116,7 +116,7 @@ class SimulatedCamera:
         self._context = context
         self._clock = context.clock
         self._settings = CameraSettings()
-        self._is_open = False
+        self._is_open = self._is_gone = False
         self._scene = SceneSettings()
         self._scene_time = SceneTime(context.clock, context.runtime_dir)
         self._view: View | None = None
@@ -147,7 +147,9 @@ class SimulatedCamera:
         )
 
     def open(self) -> DeviceIdentity:
-        """Connect."""
+        """Connect; what was unplugged does not come back."""
+        if self._is_gone:
+            raise self._fault(DeviceDisconnected, "open", "the camera is gone")
         self._is_open = True
         return DeviceIdentity("sim-camera", "simulated LWIR camera", f"SIM-{self._name}", "1")
 
@@ -300,6 +302,7 @@ class SimulatedCamera:
         settings, number = self._settings, exposure.number
         if number == settings.fail_at_frame:
             self.close()
+            self._is_gone = True
             raise self._fault(DeviceDisconnected, "acquire", "the camera is gone")
         if number == settings.stall_at_frame:
             sleep_until(self._clock, self._clock.now_ns() + round(settings.timeout_s * NS_PER_S), host)

@@ -91,7 +91,7 @@ class SimulatedProbe:
         self._settings = ProbeSettings()
         self._scene = SceneSettings()
         self._scene_time = SceneTime(context.clock, context.runtime_dir)
-        self._is_open = False
+        self._is_open = self._is_gone = False
         self._is_armed = False
         self._line: LineReader | None = None
         self._first_reading_s = -1.0
@@ -109,7 +109,9 @@ class SimulatedProbe:
         )
 
     def open(self) -> DeviceIdentity:
-        """Connect."""
+        """Connect; what was unplugged does not come back."""
+        if self._is_gone:
+            raise self._fault(DeviceDisconnected, "open", "the probe is gone")
         self._is_open = True
         return DeviceIdentity("sim-probe", "simulated wave probe", f"SIM-{self._name}", "1")
 
@@ -252,6 +254,7 @@ class SimulatedProbe:
         settings = self._settings
         if 0 <= settings.fail_at_s <= elapsed_s:
             self.close()
+            self._is_gone = True
             raise self._fault(DeviceDisconnected, "acquire", "the probe is gone")
         if 0 <= settings.silent_from_s <= elapsed_s:
             sleep_until(self._clock, self._clock.now_ns() + round(settings.timeout_s * NS_PER_S), host)

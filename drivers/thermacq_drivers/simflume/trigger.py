@@ -54,7 +54,7 @@ class SimulatedTrigger:
         self._clock = context.clock
         self._settings = TriggerSettings()
         self._scene = SceneSettings()
-        self._is_open = False
+        self._is_open = self._is_gone = False
         self._line: LineWriter | None = None
         self._period_ns = 0.0
         self._count: int | None = None
@@ -65,7 +65,9 @@ class SimulatedTrigger:
         return TriggerCapabilities(MAX_RATE_HZ, PERIOD_STEP_S)
 
     def open(self) -> DeviceIdentity:
-        """Connect."""
+        """Connect; what was unplugged does not come back."""
+        if self._is_gone:
+            raise DeviceDisconnected(self._name, "open", "the source is gone")
         self._is_open = True
         return DeviceIdentity("sim-trigger", "simulated trigger source", f"SIM-{self._name}", "1")
 
@@ -98,6 +100,7 @@ class SimulatedTrigger:
                 break
             if index == self._settings.fail_at_pulse:
                 self.close()
+                self._is_gone = True
                 raise DeviceDisconnected(self._name, "acquire", "the source is gone", last_frame=index - 1)
             sleep_until(self._clock, due_ns, host)
             while self._clock.is_virtual and line.lead() >= _LARGEST_LEAD and not host.stopping():

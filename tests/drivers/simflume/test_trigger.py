@@ -82,9 +82,12 @@ def test_unplugged_and_wrong_states(context: MakeContext, host: Any) -> None:
     source.disarm()
     with pytest.raises(DeviceFault, match="not open"):
         source.arm(50.0, 1)
-    source.open()
+    with pytest.raises(DeviceDisconnected):
+        source.open()
+    source = armed(context("box"), {}, 5)
     with pytest.raises(DeviceFault, match="at most 1000"):
         source.arm(5000.0, 1)
+    source.disarm()
     with pytest.raises(DeviceFault, match="not armed"):
         next(source.pulses(host))
     source.close()
