@@ -235,11 +235,22 @@ class SampleBlock:
 
 @dataclass(frozen=True)
 class TriggerCapabilities:
-    """What a trigger source can emit."""
+    """What a trigger source can emit.
+
+    Parameters
+    ----------
+    max_rate_hz
+        Highest rate.
+    period_step_s
+        Grid of the settable period; 0 when continuous.
+    reckons_pulses
+        Whether times and numbers of its pulses are reckoned from the start of the train instead of observed;
+        a probe that stamps the pulses then knows them better.
+    """
 
     max_rate_hz: float
     period_step_s: float
-    """Grid of the settable period; 0 when continuous."""
+    reckons_pulses: bool = False
 
 
 @dataclass(frozen=True, slots=True)

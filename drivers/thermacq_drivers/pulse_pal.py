@@ -193,7 +193,7 @@ class PulsePal:
     def capabilities(self) -> TriggerCapabilities:
         """What the box can emit with the pulse width in force."""
         shortest = cycles_of(self._settings.pulse_width_s) + 1
-        return TriggerCapabilities(CYCLES_PER_S / shortest, CYCLE_S)
+        return TriggerCapabilities(CYCLES_PER_S / shortest, CYCLE_S, reckons_pulses=True)
 
     def open(self) -> DeviceIdentity:
         """Find the box with the rig's serial number or port, or the only one, and shake hands."""

@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Any
 from thermacq.acquisition.job import Job
 from thermacq.acquisition.messages import ArmOrder, DeviceSpec, Opened, plain
 from thermacq.acquisition.priority import core_for
-from thermacq.devices import CameraCapabilities, DeviceKind, ProbeCapabilities, TriggerMode
+from thermacq.devices import (
+    CameraCapabilities,
+    DeviceKind,
+    ProbeCapabilities,
+    TriggerCapabilities,
+    TriggerMode,
+)
 from thermacq.errors import AcquisitionError, RigError
 from thermacq.hooks import Evidence
 from thermacq.plugins import plugins
@@ -200,7 +206,13 @@ def streams(opened: Mapping[str, Opened]) -> tuple[tuple[CameraStream, ...], tup
     return tuple(cameras), tuple(probes)
 
 
-def header(job: Job, specs: Sequence[DeviceSpec], start_ns: int, start_unix_ns: int) -> RunHeader:
+def header(
+    job: Job,
+    specs: Sequence[DeviceSpec],
+    opened: Mapping[str, Opened],
+    start_ns: int,
+    start_unix_ns: int,
+) -> RunHeader:
     """Header of the run file; `start_ns` and `start_unix_ns` are the same instant."""
     evidences = [plugins().driver(spec.driver, spec.kind).evidence for spec in specs]
     emulated = tuple(spec.name for spec in specs if spec.emulation is not None)
@@ -217,6 +229,11 @@ def header(job: Job, specs: Sequence[DeviceSpec], start_ns: int, start_unix_ns: 
         calibration=job.calibration,
         versions=versions(),
         emulated=emulated,
+        triggers_reckoned=any(
+            answer.capabilities.reckons_pulses
+            for answer in opened.values()
+            if isinstance(answer.capabilities, TriggerCapabilities)
+        ),
     )
 
 

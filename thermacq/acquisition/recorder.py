@@ -162,7 +162,7 @@ class Recorder:
         self._tell_writer(
             CreateOrder(
                 path=self._job.output,
-                header=plan.header(self._job, self._specs, self._start_ns, start_unix_ns),
+                header=plan.header(self._job, self._specs, self._opened, self._start_ns, start_unix_ns),
                 cameras=cameras,
                 probes=probes,
                 store=rig.store,

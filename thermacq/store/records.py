@@ -97,6 +97,9 @@ class RunHeader:
         Versions of the software and drivers.
     emulated
         Names of the devices that emulators played in place of hardware.
+    triggers_reckoned
+        Whether the trigger source reckoned the times of its pulses instead of observing them; see
+        `thermacq.store.trigger_line`.
     """
 
     run_id: str
@@ -110,6 +113,7 @@ class RunHeader:
     calibration: dict[str, Any] | None = None
     versions: dict[str, str] = field(default_factory=dict)
     emulated: tuple[str, ...] = ()
+    triggers_reckoned: bool = False
 
 
 @dataclass(slots=True)

@@ -102,7 +102,7 @@ class _Grid:
 
     def at(self, numbers: Times) -> NDArray[np.float64]:
         """Times of numbers, on the line."""
-        return self.slope * numbers + self.intercept
+        return np.asarray(self.slope * numbers + self.intercept, np.float64)
 
     def residual_ns(self) -> NDArray[np.float64]:
         """Distance of all events from the line."""
