@@ -189,6 +189,8 @@ def _tell(status: PreheatStatus, as_json: bool) -> None:
                 out.print(f"{name}: {_NAMES[one.name]} cannot be judged: {one.note}", markup=False)
             elif one.grade == _FAIL and one.note:
                 out.print(f"{name}: {_NAMES[one.name]}: {one.note}", markup=False)
+    for name, fault in status.faults.items():
+        out.print(f"{name}: {fault}; no criterion means anything then", markup=False)
     if status.override:
         out.print(f"override: {status.override}", markup=False)
     if status.is_go:

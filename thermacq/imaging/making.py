@@ -57,6 +57,13 @@ def make_corrections(
     """
     from thermacq_calibration import make_correction, uniformity, with_shading
 
+    if check is not None and check in (cold, hot):
+        raise CorrectionError(
+            f"--check names the same frames of '{check.path}' as --cold or --hot: what is left there is nothing, "
+            "by construction",
+            kept="Nothing was written.",
+            remedy="Give a view that was not used, at a third temperature.",
+        )
     serials = serials_of(cold.path)
     given = {"cold": cold, "hot": hot, "check": check, "uniform": uniform, "shutter": shutter}
     references = {what: reference for what, reference in given.items() if reference is not None}
@@ -155,10 +162,12 @@ def _views_of_cameras(
 def _check_order(cold: ReferenceView, hot: ReferenceView) -> None:
     import numpy as np
 
+    # Views that are hardly apart have no order; why they make no gains is said elsewhere.
+    apart = 10 * float(np.median(cold.noise))
     warmer_k = None
     if cold.temperature_k is not None and hot.temperature_k is not None:
         warmer_k = hot.temperature_k - cold.temperature_k
-    if (warmer_k is None and np.median(hot.mean) < np.median(cold.mean)) or (
+    if (warmer_k is None and np.median(hot.mean) < np.median(cold.mean) - apart) or (
         warmer_k is not None and warmer_k < 0
     ):
         raise CorrectionError(

@@ -87,9 +87,11 @@ def save_report(report: NoiseReport, output: Path) -> None:
 
 
 def check_output(output: Path) -> None:
-    """Refuse a file that exists or that is neither ``.png`` nor ``.html``; raises `CorrectionError`."""
+    """Refuse a file that exists, has no folder, or is neither ``.png`` nor ``.html``; raises `CorrectionError`."""
     if output.suffix.lower() not in (".png", ".html"):
         raise CorrectionError(f"'{output}' is neither .png nor .html", remedy="Name it report.html.")
+    if not output.parent.is_dir():
+        raise CorrectionError(f"there is no folder '{output.parent}'", remedy="Make it, or choose another.")
     if output.exists():
         raise CorrectionError(
             f"'{output}' exists already", kept="It was not touched.", remedy="Choose another name."

@@ -263,6 +263,12 @@ def _camera(
     corrector = corrections.corrector(camera)
     correction = None if corrector is None else corrections.cameras[camera]
     views = [view_of_camera(one, serial, camera) for one in sitf]
+    for view in views:
+        if view.mean.shape != seen.mean.shape:
+            raise CorrectionError(
+                f"{view.label} has pictures of another size than {name}",
+                remedy="Give views of one camera in one format.",
+            )
     bad, bad_from = _bad_pixels(seen, views, correction)
     scale, scale_from = _scale(given, views, correction, bad)
     accumulator = NoiseAccumulator(bad > 0)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermacq.devices import FrameFlag
 from thermacq.errors import CorrectionError
@@ -21,6 +22,7 @@ from thermacq_calibration.infrared.preheat import (
     judge_preheat,
 )
 from thermacq_calibration.infrared.warm_up import WarmUp
+from thermacq_calibration.targets.pictures import saturation
 
 OVERRIDE = "preheat override"
 """Beginning of the event that tells why somebody went on without a go."""
@@ -29,6 +31,8 @@ _SAMPLE_S = 0.9
 # Pictures of a fast recording are looked at about once a second; drift is slow.
 _SHORT_CLOSING_S = 0.6
 # Frames farther apart may miss the shutter of a camera that corrects itself.
+_STUCK_S = 30.0
+# Longer than any shutter stays closed; noise makes each picture another one.
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,8 @@ class PreheatStatus:
         Temperature of each focal plane; NaN where unknown.
     override
         Why somebody went on without a go; empty: nobody did.
+    faults
+        What is wrong with the pictures of a camera, by its name: none of its figures can be trusted then.
     """
 
     run: Path
@@ -54,11 +60,12 @@ class PreheatStatus:
     cameras: dict[str, Preheat]
     temperatures_k: dict[str, float]
     override: str = ""
+    faults: dict[str, str] = field(default_factory=dict)
 
     @property
     def is_ready(self) -> bool:
         """Whether all cameras are ready."""
-        return all(camera.is_go for camera in self.cameras.values())
+        return all(self._is_camera_go(name) for name in self.cameras)
 
     @property
     def is_go(self) -> bool:
@@ -68,6 +75,8 @@ class PreheatStatus:
     @property
     def ready_in_s(self) -> float:
         """Predicted time until all are ready; NaN when nothing can be said."""
+        if self.faults:
+            return math.nan
         times_s = [camera.ready_in_s for camera in self.cameras.values()]
         return math.nan if any(not math.isfinite(one) for one in times_s) else max(times_s)
 
@@ -77,16 +86,16 @@ class PreheatStatus:
         parts = []
         for name, camera in self.cameras.items():
             failed = [one.name for one in camera.criteria if one.grade is Grade.FAIL]
-            parts.append(
-                f"{name} {'go' if camera.is_go else 'no-go: ' + ', '.join(failed or ['nothing judged'])}"
-            )
+            why = ["picture"] if name in self.faults else failed or ["nothing judged"]
+            parts.append(f"{name} {'go' if self._is_camera_go(name) else 'no-go: ' + ', '.join(why)}")
         return "; ".join(parts)
 
     def facts(self) -> dict[str, Any]:
         """Plain values for JSON; what is not known is None."""
         cameras = {
             name: {
-                "go": camera.is_go,
+                "go": self._is_camera_go(name),
+                "fault": self.faults.get(name, ""),
                 "ready_in_s": _known(camera.ready_in_s),
                 "fpa_temperature_k": _known(self.temperatures_k[name]),
                 "criteria": [
@@ -104,6 +113,9 @@ class PreheatStatus:
             "ready_in_s": _known(self.ready_in_s),
             "cameras": cameras,
         }
+
+    def _is_camera_go(self, name: str) -> bool:
+        return self.cameras[name].is_go and name not in self.faults
 
 
 class PreheatMonitor:
@@ -182,7 +194,8 @@ class PreheatMonitor:
         cameras = {name: judge_preheat(one, self._scales[name], self._limits) for name, one in seen.items()}
         temperatures_k = {name: float(one.fpa_temperature_k[-1]) for name, one in seen.items()}
         time_s = max(camera.time_s for camera in cameras.values())
-        return PreheatStatus(self._path, time_s, cameras, temperatures_k, self._override)
+        faults = {name: fault for name, samples in self._seen.items() if (fault := samples.fault())}
+        return PreheatStatus(self._path, time_s, cameras, temperatures_k, self._override, faults)
 
 
 class _Samples:
@@ -196,6 +209,8 @@ class _Samples:
         self._taken: list[tuple[float, float, float, bool]] = []
         self._repeated = 0
         self._closed = 0
+        self._open_s = self._changed_s = 0.0
+        self._spoilt_by = ""
 
     def read(self, run: RunFile, camera: str) -> None:
         """Take in what is new: about one frame a second, and each change of the shutter."""
@@ -206,15 +221,29 @@ class _Samples:
         for row in range(self._rows, len(table)):
             is_closed = bool(closed[row])
             self._closed += is_closed
-            self._repeated += is_closed and row > 0 and table.crc32[row] == table.crc32[row - 1]
+            is_repeated = row > 0 and table.crc32[row] == table.crc32[row - 1]
+            self._repeated += is_closed and is_repeated
+            if not is_closed:
+                self._open_s = float(time_s[row])
+                self._changed_s = self._changed_s if is_repeated else self._open_s
             since_s = float(time_s[row]) - self._last[0]
             if spoilt[row] or since_s <= 0 or (since_s < _SAMPLE_S and is_closed == self._last[1]):
                 continue
-            level = float(run.counts(camera, row).mean(dtype=np.float64))
+            picture = run.counts(camera, row)
+            level = float(picture.mean(dtype=np.float64))
+            if not is_closed:
+                self._spoilt_by = _spoilt_by(picture)
             self._taken.append((float(time_s[row]), float(table.fpa_temperature_k[row]), level, is_closed))
             self._last = float(time_s[row]), is_closed
         self._rows = len(table)
         self._interval_s = float(np.median(np.diff(time_s))) if len(table) > 1 else 0.0
+
+    def fault(self) -> str:
+        """What is wrong with the pictures now; empty when nothing is."""
+        stuck_s = self._open_s - self._changed_s
+        if not self._spoilt_by and stuck_s > _STUCK_S:
+            return f"the camera has repeated one and the same picture for {stuck_s / 60:.1f} min"
+        return self._spoilt_by
 
     def warm_up(self) -> WarmUp:
         values = np.array(self._taken, np.float64).reshape(-1, 4)
@@ -230,6 +259,14 @@ class _Samples:
             self._has_shutter,
             is_sparse,
         )
+
+
+def _spoilt_by(picture: NDArray[Any]) -> str:
+    """Why a picture cannot drift; empty when it may."""
+    if picture.min() == picture.max():
+        return f"the picture is constant: each pixel has the count {picture.min()}"
+    saturated = saturation(picture)
+    return f"the picture is {saturated}" if saturated else ""
 
 
 def override_of(run: RunFile) -> str:

@@ -228,17 +228,21 @@ def _check_temperatures(cold: ReferenceView, hot: ReferenceView) -> None:
                 f"{cold.label} and {hot.label} are less than {SMALLEST_SPAN_K:g} K apart: gains would be noise",
                 remedy="Record the two at temperatures a few kelvin apart, around that of the water.",
             )
-        if span_k < 0:
-            raise CalibrationError(
-                f"{hot.label} has {rise:.0f} counts more than {cold.label}, which is warmer",
-                remedy="The temperatures of the two views may be swapped; correct them.",
-            )
     noise = max(float(np.median(view.noise)) for view in (cold, hot))
     if rise < _SMALLEST_SPAN_NOISE * noise:
         raise CalibrationError(
-            f"{cold.label} and {hot.label} differ by {rise:.0f} counts only, at a noise of {noise:.1f}: "
+            f"{cold.label} and {hot.label} differ by {abs(rise):.0f} counts only, at a noise of {noise:.1f}: "
             "gains would be noise",
             remedy="Check that both views were really taken, and are at temperatures a few kelvin apart.",
+        )
+    if (
+        cold.temperature_k is not None
+        and hot.temperature_k is not None
+        and hot.temperature_k < cold.temperature_k
+    ):
+        raise CalibrationError(
+            f"{hot.label} has {rise:.0f} counts more than {cold.label}, which is warmer",
+            remedy="The temperatures of the two views may be swapped; correct them.",
         )
 
 

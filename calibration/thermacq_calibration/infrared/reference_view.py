@@ -20,6 +20,8 @@ BLOCK_FRAMES = 16
 """Frames whose mean is compared with the next mean to see a pixel jump."""
 
 _LARGEST_STUCK_SHARE = 0.01
+# Noise and pattern spread the pixels of a working sensor over many counts.
+_CONSTANT_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +115,10 @@ def observe(
         statistics.add(picture)
     if statistics is None or statistics.frames < FEWEST_FRAMES:
         count = 0 if statistics is None else statistics.frames
+        if statistics is not None:
+            _refuse_constant(statistics.last, what)
         raise CalibrationError(
-            f"{what} has {count} different frames, fewer than {FEWEST_FRAMES}"
+            f"{what} has {count} different frame{'s' * (count != 1)}, fewer than {FEWEST_FRAMES}"
             + (f"; {repeats} more only repeat the one before" if repeats else ""),
             remedy="Record at least a second of it with the shutter open; 64 frames or more are better.",
         )
@@ -139,6 +143,17 @@ def _check_frame(picture: NDArray[Any], shape: tuple[int, ...] | None, what: str
     if picture.dtype.kind == "f" and not np.isfinite(picture).all():
         raise CalibrationError(
             f"{what} holds values that are not finite", remedy="Give raw counts, without gaps."
+        )
+
+
+def _refuse_constant(picture: NDArray[Any], what: str) -> None:
+    level = np.median(picture)
+    part = float(np.mean(picture == level))
+    if part > _CONSTANT_SHARE:
+        raise CalibrationError(
+            f"the pictures of {what} are constant: {part:.0%} of the pixels have the count {level:g}",
+            remedy="They are saturated, or the sensor does not work: look at the camera's range and cable, and "
+            "record the view again.",
         )
 
 

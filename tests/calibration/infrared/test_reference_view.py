@@ -85,7 +85,7 @@ def saturated():
     [
         ([], "0 different frames"),
         (stack(15), "cold has 15 different frames, fewer than 16"),
-        (np.repeat(stack(1), 50, axis=0), "1 different frames.*49 more only repeat"),
+        (np.repeat(stack(1), 50, axis=0), "1 different frame,.*49 more only repeat"),
         (saturated(), "50.0% of the pixels of view cold never change; most stand at 16383 counts"),
         (nan_frames(), "frame 7 of view cold holds values that are not finite"),
         ([*stack(3), np.zeros((5, 5), np.uint16)], "frame 3 of view cold has 5 x 5 pixels"),
