@@ -1,11 +1,12 @@
 """Distortion models and the choice between them by cross-validation, not by habit.
 
 Each candidate is fitted to four fifths of the views; in the others only the pose of the board is fitted, and the
-reprojection error that remains is the score. Of all candidates the simplest is taken whose mean squared error
-exceeds the best one's by no more than half a standard error of that difference between views (a stricter form of the
-one-standard-error rule of Hastie, Tibshirani and Friedman, "The elements of statistical learning", section 7.10, on
-paired differences: all candidates are tried on the same views). A candidate of which the views leave a coefficient open
-(the rational model of a lens that distorts little) is not taken.
+reprojection error that remains is the score. Candidates remain whose mean squared error exceeds the best one's by no
+more than half a standard error of that difference between views (a stricter form of the one-standard-error rule of
+Hastie, Tibshirani and Friedman, "The elements of statistical learning", section 7.10, on paired differences: all
+candidates are tried on the same views). Of these the simplest with tangential distortion is taken; without it only
+where the held-out views speak against it. A candidate of which the views leave a coefficient open (the rational
+model of a lens that distorts little) is not taken.
 """
 
 from __future__ import annotations
@@ -42,10 +43,9 @@ FIRST = "k1 k2 p1 p2"
 """The model that views are looked at with before one is chosen."""
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FOLDS = 5
-# Half of the usual one standard error: a missing coefficient biases the principal point without showing in any
-# stated uncertainty, one too many only widens it. On 30 simulated sets (40 views) errors of the principal point were
-# 2.1 of their sigma (RMS) with one standard error, 1.4 with half, 1.2 with the best score; those of baseline and
-# depth 1.2 and 1.1 whichever way.
+# Half of the usual one standard error: a missing coefficient biases without showing in any stated uncertainty, one
+# too many only widens it. Most of all p1 and p2, whose effect the principal point takes up: where they are weak and
+# left out, it errs by 4 of its stated sigmas (RMS). See docs/explanation/calibration-uncertainty.md for figures.
 _ALLOWED_SE = 0.5
 
 
@@ -129,8 +129,9 @@ def choose(found: Fit, corners: Corners) -> tuple[str, tuple[Score, ...]]:
         error = float(excess.std(ddof=1) / np.sqrt(excess.size))
         rms = float(np.sqrt(errors.mean()))
         scores.append(Score(model, rms, float(excess.mean()), error, determined[model]))
-    eligible = (score for score in scores if score.determined)
-    chosen = next(score.model for score in eligible if score.excess_px2 <= _ALLOWED_SE * score.excess_se_px2)
+    good = [s for s in scores if s.determined and s.excess_px2 <= _ALLOWED_SE * s.excess_se_px2]
+    # The first with tangential distortion, otherwise the first.
+    chosen = min(good, key=lambda score: "p1" not in CANDIDATES[score.model]).model
     return chosen, tuple(scores)
 
 
