@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from thermacq.errors import DeviceDisconnected, DeviceFault
 from thermacq.testing.emulation.video import NoVideo
 from thermacq.timing.clock import RealClock
-from thermacq.transports import VideoNode
+from thermacq.transports import RealTransports, VideoNode
 from thermacq_drivers.transports import v4l2, video
 from thermacq_drivers.transports.video import VideoFormat, VideoStream, as_counts, find_video, identity_of
 
@@ -65,7 +65,7 @@ def test_any_bytes_are_a_picture_or_refused(data, fourcc):
     if fits:
         assert as_counts(np.frombuffer(data, np.uint8), wanted).shape == (3, 4)
     else:
-        with pytest.raises(ValueError, match="bytes came|is none of"):
+        with pytest.raises(ValueError, match=r"bytes came|is none of"):
             as_counts(np.frombuffer(data, np.uint8), wanted)
 
 
@@ -151,6 +151,26 @@ def test_identities_do_not_hang_on_the_path():
     nodes = [VideoNode("/dev/video0", 1, 2, "S1"), VideoNode("/dev/video2", 1, 2, "S2")]
     assert find_video(nodes, "eye", serial="S2").path == "/dev/video2"
     assert find_video(nodes, "eye", path="/dev/video0").serial == "S1"
+
+
+def test_the_system_tells_serial_number_and_socket_of_a_node(tmp_path, monkeypatch):
+    usb = tmp_path / "devices" / "usb1" / "1-2.3"
+    node = tmp_path / "class" / "video4"
+    (usb / "1-2.3:1.0").mkdir(parents=True)
+    node.mkdir(parents=True)
+    (node / "device").symlink_to(usb / "1-2.3:1.0")
+    for file, text in {
+        usb / "idVendor": "09cb",
+        usb / "idProduct": "4007",
+        usb / "serial": "276926",
+        usb / "product": "Boson",
+        node / "index": "0",
+    }.items():
+        file.write_text(text + "\n")
+    monkeypatch.setattr("thermacq.transports._VIDEO_CLASS", tmp_path / "class")
+    assert RealTransports().video_nodes() == [
+        VideoNode("/dev/video4", 0x09CB, 0x4007, "276926", "Boson", "1-2.3")
+    ]
 
 
 class Kernel:

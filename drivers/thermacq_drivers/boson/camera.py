@@ -56,7 +56,7 @@ _FFC_S = 8.0
 _FFC_BEGINS_NS = 100_000_000
 _FFC_POLL_NS = 50_000_000
 _FIRST_PICTURE_S = 5.0
-_QUIET_S, _LONGEST_DRAIN_S = 0.3, 1.5
+_QUIET_S, _LONGEST_DRAIN_S = 0.3, 0.5
 _LOOKS = 8
 
 _log = logging.getLogger(__name__)
@@ -269,7 +269,7 @@ class BosonCamera:
             raise DeviceFault(self._name, "arm", what, remedy=remedy)
 
     def _become_slave(self, stream: VideoStream) -> None:
-        """Stream first, then follow the line; pictures from before are thrown away."""
+        """Stream first, then follow the line; the few pictures from before that wait are thrown away."""
         self._first_shot(stream, "arm")
         self._set_sync(_SLAVE, "arm")
         deadline_s = time.monotonic() + _LONGEST_DRAIN_S
