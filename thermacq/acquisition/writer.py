@@ -32,6 +32,7 @@ from thermacq.acquisition.shared import SharedBlock
 from thermacq.devices import Counts, TriggerMode
 from thermacq.errors import StoreError
 from thermacq.store import Compression, Event, EventKind, FrameRow, RunWriter, encode_frame, frame_crc32
+from thermacq.timing import NS_PER_S
 
 COMPRESSION_THREADS = 2
 _IN_FLIGHT = 8
@@ -301,8 +302,17 @@ class Drain:
             }
             if name in self._rings:
                 counts[name]["written"] = self._run.committed(name)
-        virtual = self._order.header.clock == "virtual"
-        return summarise_sync(self._order.mode, virtual, self._cameras, self._probes, self._pulses, counts)
+        header = self._order.header
+        reckoned_ns = NS_PER_S / header.rig["trigger"]["frame_rate_hz"] if header.triggers_reckoned else None
+        return summarise_sync(
+            self._order.mode,
+            header.clock == "virtual",
+            self._cameras,
+            self._probes,
+            self._pulses,
+            counts,
+            reckoned_ns,
+        )
 
 
 def _encode(counts: Counts, compression: Compression) -> tuple[bytes, int]:

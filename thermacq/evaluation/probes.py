@@ -175,6 +175,11 @@ def still_level(time_s: Series, raw: Series) -> tuple[float, str]:
 
 
 def _fired_triggers(run: RunFile) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    from thermacq.store import trigger_line
+
+    line = trigger_line(run)
+    if line is not None:
+        return line.pulse_ns
     stamps = [run.frames(camera).trigger_ns for camera in run.cameras]
     fired = np.concatenate(stamps) if stamps else np.empty(0, np.int64)
     return np.unique(fired[fired >= 0])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from thermacq.devices import FrameFlag
 from thermacq.errors import ReconstructionError
-from thermacq.store import FrameTable, RunFile
+from thermacq.store import FrameTable, RunFile, frame_times
 from thermacq.timing import NS_PER_S, DeviceTimes, fit_device_clock, pair_frames
 from thermacq_calibration import StereoCalibration, load_calibration
 
@@ -110,7 +110,8 @@ def run_pairs(run: RunFile, pair: str | None = None) -> RunPairs:
     names = camera_sides(run, pair)
     tables = [run.frames(name) for name in names]
     clocks = [_clock(run, name, table) for name, table in zip(names, tables, strict=True)]
-    pairs = pair_frames(tables[0], tables[1], clocks[0], clocks[1])
+    times = frame_times(run, names)
+    pairs = pair_frames(times[0], times[1], clocks[0], clocks[1])
     if pairs.left.size == 0:
         counts = ", ".join(
             f"'{name}' has {len(table)} frames" for name, table in zip(names, tables, strict=True)

@@ -18,6 +18,7 @@ from thermacq.store.records import (
     RunHeader,
 )
 from thermacq.store.recovery import RecoveryReport, recover
+from thermacq.store.triggers import frame_times, trigger_line
 from thermacq.store.verification import Finding, VerifyReport, verify
 from thermacq.store.writer import RunWriter
 
@@ -39,7 +40,9 @@ __all__ = [
     "check_room",
     "encode_frame",
     "frame_crc32",
+    "frame_times",
     "open_run",
     "recover",
+    "trigger_line",
     "verify",
 ]

@@ -5,7 +5,14 @@ Arrays in, records out; nothing here touches a device or a file.
 
 from thermacq.timing.clock import NS_PER_S, Clock, ClockSettings, RealClock, VirtualClock, make_clock
 from thermacq.timing.counters import lost_between, unwrap_counter
-from thermacq.timing.line import CameraEvidence, LineFrames, TriggerLine, follow_line
+from thermacq.timing.line import (
+    CameraEvidence,
+    LineFrames,
+    ProbeEvidence,
+    TriggerLine,
+    follow_line,
+    line_of_probes,
+)
 from thermacq.timing.models import ClockModel, fit_clock, fit_clock_to_pulses
 from thermacq.timing.pairing import FrameTimes, Pairs, frame_times_ns, pair_frames
 from thermacq.timing.report import skew_figures, sync_report
@@ -27,6 +34,7 @@ __all__ = [
     "FrameTimes",
     "LineFrames",
     "Pairs",
+    "ProbeEvidence",
     "RealClock",
     "RestartedClock",
     "TriggerLine",
@@ -37,6 +45,7 @@ __all__ = [
     "fit_stretches",
     "follow_line",
     "frame_times_ns",
+    "line_of_probes",
     "lost_between",
     "make_clock",
     "pair_frames",

@@ -9,15 +9,16 @@ tell lost pulses from lost frames.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermacq.timing.clock import NS_PER_S
 from thermacq.timing.pairing import FrameTimes
-from thermacq.timing.restarts import DeviceTimes
+from thermacq.timing.restarts import DeviceTimes, fit_device_clock, pulse_times_ns
 
 Times = NDArray[np.int64]
 
@@ -53,6 +54,35 @@ class CameraEvidence:
             ticked = self.frames.ticks >= 0
             times[ticked] = self.clock.times_of(self.frames.ticks[ticked], times[ticked])
         return times
+
+
+@dataclass(frozen=True)
+class ProbeEvidence:
+    """What a probe says of the line.
+
+    Parameters
+    ----------
+    name
+        Name in the rig.
+    ticks, received_ns
+        (n,) int64, device clock at samples, and the host times at which they were received.
+    tick_rate_hz
+        Nominal rate of the device clock.
+    sample_ticks
+        Device clock from sample to sample.
+    pulse_ticks
+        (pulses,) int64, device clock at the pulses that it stamped.
+    restarts_ns
+        Host times from which its clock counted anew.
+    """
+
+    name: str
+    ticks: Times
+    received_ns: Times
+    tick_rate_hz: float
+    sample_ticks: float
+    pulse_ticks: Times
+    restarts_ns: Sequence[int] = ()
 
 
 @dataclass(frozen=True)
@@ -160,6 +190,23 @@ def follow_line(
         "cameras": {name: _losses(cameras[name], grid, seen) for name, grid in grids.items()},
     }
     return TriggerLine(times_ns[stamps.kept], frames, figures)
+
+
+def line_of_probes(
+    probes: Sequence[ProbeEvidence], period_ns: float, cameras: Mapping[str, CameraEvidence]
+) -> TriggerLine | None:
+    """The trigger line as the probe saw it that stamped most pulses; parameters as for `follow_line`.
+
+    Host times of the pulses come from the times at which the probe's samples were received. They are late by
+    the shortest delay of its samples, as the samples themselves are: probe and cameras share one time.
+    """
+    probe = max(probes, key=lambda one: one.pulse_ticks.size, default=None)
+    if probe is None or probe.pulse_ticks.size < _FEWEST_PULSES or probe.tick_rate_hz <= 0:
+        return None
+    clock = fit_device_clock(probe.ticks, probe.received_ns, probe.tick_rate_hz, probe.restarts_ns)
+    resolution_ns = probe.sample_ticks / probe.tick_rate_hz * NS_PER_S
+    line = follow_line(pulse_times_ns(clock, probe.pulse_ticks), period_ns, resolution_ns, cameras)
+    return replace(line, figures={"probe": probe.name, **line.figures}) if line else None
 
 
 def _on_grid(times_ns: Times, period_ns: float) -> _Grid:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermacq.timing.line import TriggerLine
 from thermacq.timing.pairing import FrameTimes, pair_frames
 from thermacq.timing.restarts import DeviceTimes
 
@@ -25,6 +26,7 @@ def sync_report(
     cameras: Mapping[str, FrameTimes],
     clocks: Mapping[str, DeviceTimes | None],
     counts: Mapping[str, Mapping[str, Any]],
+    line: TriggerLine | None = None,
 ) -> dict[str, Any]:
     """Say how well a run was synchronised.
 
@@ -38,6 +40,8 @@ def sync_report(
         Clock models by device, probes included; None where there was not enough evidence.
     counts
         By device: ``received``, ``written``, and ``lost``, a table of losses by cause.
+    line
+        The trigger line as a probe stamped it; frames are then paired by its pulses.
 
     Returns
     -------
@@ -53,6 +57,9 @@ def sync_report(
         "late_triggers": {name: counts[name]["lost"].get("late_trigger", 0) for name in cameras},
         "clocks": {name: model.to_dict() if model else None for name, model in clocks.items()},
     }
+    if line is not None:
+        report["line"] = line.figures
+        cameras = {name: line.frames.get(name, frames) for name, frames in cameras.items()}
     if len(cameras) >= 2:
         report |= _pair_report(trigger_mode, list(cameras.items())[:2], clocks)
     return report
