@@ -113,6 +113,7 @@ def join_by_board(
         motion_between,
         placing_by_board,
         require_calibration,
+        scale_uncertainty,
     )
     from thermacq_calibration import load_calibration
 
@@ -127,7 +128,9 @@ def join_by_board(
         _corners(run, record, pair, frames_per_view, (columns, rows))[0]
         for record, pair in zip(records, pairs, strict=True)
     ]
-    motion, left_out = motion_between(*seen)
+    motion, left_out = motion_between(
+        seen[0], seen[1], (scale_uncertainty(records[0]), scale_uncertainty(records[1]))
+    )
     placing, doubts = placing_by_board(first, second, motion)
     joined = joined_frame(first, second, placing)
     joined.save(output)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from thermacq.errors import ReconstructionError
 from thermacq.reconstruction.shared_board import BoardCorners, common_corners
 from thermacq.reconstruction.world import WorldFrame
+from thermacq_calibration import StereoCalibration
 from thermacq_calibration.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 
 _STEP = 1e-6
@@ -71,12 +72,28 @@ def joined_frame(first: WorldFrame, second: WorldFrame, placing: Placing) -> Wor
     )
 
 
+def scale_uncertainty(calibration: StereoCalibration) -> float:
+    """Relative standard uncertainty of depth at the working distance; 0 where the record states none."""
+    depth_m, distance_m = calibration.standard_uncertainty("depth_m"), calibration.working_distance_m
+    return 0.0 if depth_m is None or distance_m is None else depth_m / distance_m
+
+
 def motion_between(
-    first: Sequence[BoardCorners], second: Sequence[BoardCorners]
+    first: Sequence[BoardCorners],
+    second: Sequence[BoardCorners],
+    scales: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[RigidMotion, list[str]]:
     """Rigid motion that takes points of the second pair's camera to the first's, from shared views of a board.
 
     Views whose corners miss each other by more than four times the median are left out, and named.
+
+    Parameters
+    ----------
+    first, second
+        Corners as each pair sees them.
+    scales
+        Relative standard uncertainties of the lengths that each pair measures, see `scale_uncertainty`. A wrong
+        scale moves the board along its direction from the camera, in all views alike, which no scatter shows.
 
     Raises
     ------
@@ -95,7 +112,8 @@ def motion_between(
         for (one, _), off, keep in zip(shared, misfit, kept, strict=True)
         if not keep
     ]
-    return _fit([pair for pair, keep in zip(shared, kept, strict=True) if keep]), left_out
+    good = [pair for pair, keep in zip(shared, kept, strict=True) if keep]
+    return _with_scales(_fit(good), good, scales), left_out
 
 
 def placing_by_board(first: WorldFrame, second: WorldFrame, motion: RigidMotion) -> tuple[Placing, list[str]]:
@@ -150,6 +168,18 @@ def _fit(shared: Sequence[tuple[BoardCorners, BoardCorners]]) -> RigidMotion:
     target, target_covariance = _stacked([one for one, _ in shared])
     source, source_covariance = _stacked([other for _, other in shared])
     return fit_rigid_motion(source, target, source_covariance, target_covariance, view)
+
+
+def _with_scales(
+    motion: RigidMotion, shared: Sequence[tuple[BoardCorners, BoardCorners]], scales: tuple[float, float]
+) -> RigidMotion:
+    """With what the uncertain scales of both pairs add to the covariance of the translation."""
+    from_first = np.concatenate([one.points_m for one, _ in shared]).mean(axis=0)
+    from_second = from_first - motion.translation_m
+    covariance = motion.covariance.copy()
+    for scale, arm in zip(scales, (from_first, from_second), strict=True):
+        covariance[3:, 3:] += scale**2 * np.outer(arm, arm)
+    return dataclasses.replace(motion, covariance=covariance)
 
 
 def _stacked(views: Sequence[BoardCorners]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
