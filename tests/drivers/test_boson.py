@@ -24,6 +24,12 @@ QUICK = {"ffc_at_arm": False}
 SMALL = {"size": "320"}
 
 
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch):
+    """Unanswered calls are given up sooner than a real camera's."""
+    monkeypatch.setattr("thermacq_drivers.boson.control._ANSWER_S", 0.5)
+
+
 class Host:
     def __init__(self, camera):
         declared = camera.capabilities
@@ -224,7 +230,7 @@ SERIAL_FAULTS = [
     {"kind": "drop", "at": 4},
     {"kind": "duplicate", "at": 4, "items": 3},
     {"kind": "garbage", "at": 4, "amount": 64},
-    {"kind": "slow", "at": 4, "seconds": 1.2},
+    {"kind": "slow", "at": 4, "seconds": 0.7},
 ]
 
 
@@ -241,7 +247,7 @@ def test_the_serial_side_goes_on_after_each_fault(tmp_path, fault):
 
 
 def test_a_late_reply_is_no_answer_to_the_next_question(tmp_path):
-    late = {"kind": "slow", "at": 3, "seconds": 1.2}
+    late = {"kind": "slow", "at": 3, "seconds": 0.7}
     with plugged(tmp_path, serial_faults=[late]) as transports:
         device = BosonCamera(context(transports))
         device.open()
