@@ -27,6 +27,7 @@ def thermacq_drivers() -> Sequence[Driver]:
         pulse_pal,
         seek,
         serial_ascii,
+        tau2,
         testpattern,
         uvc,
     )
@@ -43,6 +44,7 @@ def thermacq_drivers() -> Sequence[Driver]:
         pulse_pal,
         seek,
         serial_ascii,
+        tau2,
         testpattern,
         uvc,
     )

@@ -20,6 +20,7 @@ def thermacq_emulators() -> Sequence[Emulator]:
         pulse_pal,
         seek,
         serial_ascii,
+        tau2,
         uvc,
     )
 
@@ -33,6 +34,7 @@ def thermacq_emulators() -> Sequence[Emulator]:
         pulse_pal,
         seek,
         serial_ascii,
+        tau2,
         uvc,
     )
     return tuple(module.EMULATOR for module in modules)
