@@ -280,7 +280,8 @@ def _frames(frames: FrameTimes, grid: _Grid, stamps: _Grid, times_ns: Times, fir
     trigger_ns[np.flatnonzero(grid.kept)[mine]] = times_ns[stamps.kept][theirs]
     return LineFrames(
         trigger_index=np.where(grid.kept, grid.numbers - first, -1),
-        trigger_ns=np.where(grid.kept, trigger_ns, -1),
+        # Negative times are unknown ones; a pulse at the very start may come out before it.
+        trigger_ns=np.where(grid.kept, np.maximum(trigger_ns, 0), -1),
         ticks=frames.ticks,
         host_ns=frames.host_ns,
     )

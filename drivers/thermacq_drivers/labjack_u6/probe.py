@@ -23,7 +23,7 @@ from thermacq.settings import check_settings
 from thermacq_drivers.labjack_u6 import codec
 from thermacq_drivers.labjack_u6.link import Link, find
 from thermacq_drivers.labjack_u6.settings import U6Settings
-from thermacq_drivers.labjack_u6.stream import RECOVERED, EdgeFinder, Packet, PacketParser, ScanAssembler
+from thermacq_drivers.labjack_u6.stream import RECOVERED, EdgeFinder, Packet, PacketParser, Run, ScanAssembler
 from thermacq_drivers.transports.usb import UsbStalled
 
 _log = logging.getLogger(__name__)
@@ -158,11 +158,14 @@ class LabJackU6:
             elif time.monotonic() - heard_s > self._settings.timeout_s:
                 what = f"no packet within {self._settings.timeout_s:g} s"
                 raise DeviceTimeout(self._name, "acquire", what, last_frame=self._last_scan)
-            while packets:
-                packet = packets.pop(0)
-                yield from self._blocks(packet)
-                self._waiting = packets
-                self._tell_losses(packet)
+            runs: list[Run] = []
+            while packets and not packets[0].dropped:
+                runs += self._scans(packets.pop(0))
+            yield from self._blocks(runs)
+            if packets:
+                self._waiting = packets[1:]
+                yield from self._blocks(self._scans(packets[0]))
+                self._tell_dropped(packets[0].dropped)
             self._tell_damage()
 
     def _start(self, link: Link) -> None:
@@ -183,7 +186,7 @@ class LabJackU6:
         except DeviceTimeout:
             return []
 
-    def _blocks(self, packet: Packet) -> Iterator[SampleBlock]:
+    def _scans(self, packet: Packet) -> list[Run]:
         if packet.error not in _GOOD_CODES:
             what, remedy = f"its stream failed: error {packet.error}", "Unplug it and plug it in again."
             if packet.error == _SCAN_OVERLAP:
@@ -191,11 +194,20 @@ class LabJackU6:
                 remedy = "Lower `rate_hz`, `resolution` or `settling`, or use fewer inputs."
             raise self._fault("acquire", what, remedy)
         try:
-            runs = self._assembler.take(packet)
+            return self._assembler.take(packet)
         except ValueError as error:
             raise self._fault("acquire", str(error), "Record again.") from None
-        for first_scan, codes in runs:
-            yield self._block(first_scan, codes)
+
+    def _blocks(self, runs: list[Run]) -> Iterator[SampleBlock]:
+        """One block for all scans that follow each other, so that its last one was received when it was taken."""
+        while runs:
+            first_scan, codes = runs.pop(0)
+            parts = [codes]
+            following = first_scan + len(codes)
+            while runs and runs[0][0] == following:
+                parts.append(runs.pop(0)[1])
+                following += len(parts[-1])
+            yield self._block(first_scan, np.concatenate(parts))
 
     def _block(self, first_scan: int, codes: NDArray[np.uint16]) -> SampleBlock:
         settings, interval = self._settings, self._scan_clock.interval
@@ -211,10 +223,9 @@ class LabJackU6:
         self._last_scan = first_scan + len(codes) - 1
         return SampleBlock(values, ticks, first_scan, self._clock.now_ns(), pulses)
 
-    def _tell_losses(self, packet: Packet) -> None:
-        if packet.dropped:
-            what = f"the host was late: the device dropped {packet.dropped} scans"
-            raise DeviceOverrun(self._name, "acquire", what, last_frame=self._last_scan)
+    def _tell_dropped(self, scans: int) -> None:
+        what = f"the host was late: the device dropped {scans} scans"
+        raise DeviceOverrun(self._name, "acquire", what, last_frame=self._last_scan)
 
     def _tell_damage(self) -> None:
         new, self._damaged = self._parser.damaged - self._damaged, self._parser.damaged

@@ -6,6 +6,7 @@ Pure state machines; nothing here touches a device.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ _FRAME_BYTES = 14
 _COUNTER_TURN = 256
 
 Codes = NDArray[np.uint16]
+Run: TypeAlias = tuple[int, Codes]
+"""Number of the first scan, and codes (scans, channels) of consecutive ones."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +109,8 @@ class ScanAssembler:
         self.lost_packets = 0
         self.dropped_scans = 0
 
-    def take(self, packet: Packet) -> list[tuple[int, Codes]]:
-        """Scans that a packet completes: numbers of the first, and codes (scans, channels), of each run.
+    def take(self, packet: Packet) -> list[Run]:
+        """Scans that a packet completes.
 
         Raises
         ------
@@ -125,7 +128,7 @@ class ScanAssembler:
         first_sample = (self._packets + missing) * self._per_packet
         self._packets += missing + 1
         begun = self._rest if not missing else np.empty(0, np.uint16)
-        runs: list[tuple[int, Codes]] = []
+        runs: list[Run] = []
         if packet.dropped and begun.size:
             # The scan that was under way is from before the drop.
             whole = np.append(begun, packet.samples)[: self._channels]
@@ -138,7 +141,7 @@ class ScanAssembler:
         self.dropped_scans += packet.dropped
         return runs + self._cut(first_sample, samples)
 
-    def _cut(self, first_sample: int, samples: Codes) -> list[tuple[int, Codes]]:
+    def _cut(self, first_sample: int, samples: Codes) -> list[Run]:
         """Whole scans of consecutive samples; the beginning of the next one is kept."""
         samples = samples[-first_sample % self._channels :]
         first_scan = -(-first_sample // self._channels) + self.dropped_scans
