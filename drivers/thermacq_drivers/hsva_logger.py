@@ -37,8 +37,8 @@ from thermacq.errors import DeviceFault, DeviceTimeout
 from thermacq.hooks import Driver, Evidence
 from thermacq.settings import check_settings
 from thermacq.timing import unwrap_counter
-from thermacq.transports import SerialNode, Transports
-from thermacq_drivers.transports.serial import SerialPort, find_port
+from thermacq.transports import Transports
+from thermacq_drivers.transports.serial import PortFinder, SerialPort
 
 BAUD = 2_000_000
 TICK_RATE_HZ = 1e6
@@ -155,10 +155,8 @@ class HsvaLogger:
     def __init__(self, context: DeviceContext) -> None:
         self._name = context.name
         self._clock = context.clock
-        self._transports = context.transports
-        self._serial, self._path = context.serial, str(context.settings.get("port", ""))
+        self._finder = PortFinder(context, _IDS)
         self._settings = HsvaSettings()
-        self._node = SerialNode("")
         self._port: SerialPort | None = None
         self._armed = False
         self._restart()
@@ -178,27 +176,17 @@ class HsvaLogger:
     def open(self) -> DeviceIdentity:
         """Find the board by its serial number or port; it is opened by `configure`."""
         self.close()
-        nodes = self._transports.serial_ports()
-        if not self._path:
-            nodes = [node for node in nodes if (node.vid, node.pid) in _IDS]
-        self._node = find_port(nodes, self._name, serial=self._serial, path=self._path)
-        self._serial = self._serial or self._node.serial
-        return DeviceIdentity(
-            "hsva_logger", "Arduino wave-gauge logger", self._node.serial or self._node.path
-        )
+        node = self._finder.find()
+        return DeviceIdentity("hsva_logger", "Arduino wave-gauge logger", node.serial or node.path)
 
     def configure(self, settings: Settings) -> Settings:
         """Apply settings and listen whether the logger says anything."""
         self.disarm()
-        if not self._node.path:
-            raise DeviceFault(self._name, "configure", "it is not open")
         checked = check_settings(HsvaSettings, settings, self._name)
-        if checked.port not in ("", self._node.path):
-            what = f"settings name port '{checked.port}', the open one is '{self._node.path}'"
-            raise DeviceFault(self._name, "configure", what)
+        node = self._finder.confirm(checked.port)
         self._close_port()
         self._settings = checked
-        self._port = SerialPort(self._name, self._node.path, checked.baud)
+        self._port = SerialPort(self._name, node.path, checked.baud)
         self._port.read(1, checked.timeout_s, "configure")
         return checked.model_dump(mode="json")
 
@@ -258,7 +246,7 @@ class HsvaLogger:
         """Let go of the port."""
         self.disarm()
         self._close_port()
-        self._node = SerialNode("")
+        self._finder.node = None
 
     def _close_port(self) -> None:
         if self._port is not None:

@@ -33,8 +33,8 @@ from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
 from thermacq.hooks import Driver, Evidence
 from thermacq.settings import check_settings
 from thermacq.timing import NS_PER_S
-from thermacq.transports import SerialNode, Transports
-from thermacq_drivers.transports.serial import find_port
+from thermacq.transports import Transports
+from thermacq_drivers.transports.serial import PortFinder
 
 if TYPE_CHECKING:
     from pymodbus.client import ModbusSerialClient
@@ -81,9 +81,9 @@ class ModbusLevelProbe:
         self._name = context.name
         self._clock = context.clock
         self._transports = context.transports
-        self._serial, self._path = context.serial, str(context.settings.get("port", ""))
+        self._finder = PortFinder(context)
+        self._path = ""
         self._settings = ModbusLevelSettings()
-        self._node = SerialNode("")
         self._client: ModbusSerialClient | None = None
         self._armed = False
 
@@ -95,20 +95,14 @@ class ModbusLevelProbe:
     def open(self) -> DeviceIdentity:
         """Find the port by the adapter's serial number or by its path; `configure` speaks to the probe."""
         self.close()
-        nodes = self._transports.serial_ports()
-        self._node = find_port(nodes, self._name, serial=self._serial, path=self._path)
-        self._serial = self._serial or self._node.serial
-        return DeviceIdentity("modbus_level", "Modbus level probe", self._node.serial or self._node.path)
+        node = self._finder.find()
+        return DeviceIdentity("modbus_level", "Modbus level probe", node.serial or node.path)
 
     def configure(self, settings: Settings) -> Settings:
         """Apply settings, and ask the probe once, so that a wrong address is told before recording."""
         self.disarm()
-        if not self._node.path:
-            raise DeviceFault(self._name, "configure", "it is not open")
         checked = check_settings(ModbusLevelSettings, settings, self._name)
-        if checked.port not in ("", self._node.path):
-            what = f"settings name port '{checked.port}', the open one is '{self._node.path}'"
-            raise DeviceFault(self._name, "configure", what)
+        self._path = self._finder.confirm(checked.port).path
         self._close_client()
         self._settings = checked
         self._client = self._connect("configure")
@@ -164,7 +158,7 @@ class ModbusLevelProbe:
 
         settings = self._settings
         client = ModbusSerialClient(
-            self._node.path,
+            self._path,
             baudrate=settings.baud,
             bytesize=8,
             parity=settings.frame[1],
@@ -176,7 +170,7 @@ class ModbusLevelProbe:
             raise DeviceDisconnected(
                 self._name,
                 stage,
-                f"the port {self._node.path} cannot be opened",
+                f"the port {self._path} cannot be opened",
                 remedy="Check cable and permissions (group dialout); `thermacq doctor` says more.",
             )
         return client
@@ -196,7 +190,7 @@ class ModbusLevelProbe:
             raise self._gone(stage) from None
         except ModbusException:
             # Nothing came, or it was damaged; whether the port still exists tells which.
-            if self._node.path not in {node.path for node in self._transports.serial_ports()}:
+            if self._path not in {node.path for node in self._transports.serial_ports()}:
                 raise self._gone(stage) from None
             return math.nan
         except (OSError, TypeError):
@@ -206,7 +200,7 @@ class ModbusLevelProbe:
         return decode_registers(answer.registers, settings.encoding) * settings.metres_per_count
 
     def _gone(self, stage: str) -> DeviceDisconnected:
-        what = f"the port {self._node.path} is gone"
+        what = f"the port {self._path} is gone"
         return DeviceDisconnected(self._name, stage, what, remedy="Check power and cable, then try again.")
 
     def disarm(self) -> None:
@@ -217,7 +211,7 @@ class ModbusLevelProbe:
         """Let go of the port."""
         self.disarm()
         self._close_client()
-        self._node = SerialNode("")
+        self._finder.node = None
 
     def _close_client(self) -> None:
         if self._client is not None:

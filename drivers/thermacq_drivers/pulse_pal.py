@@ -38,9 +38,9 @@ from thermacq.errors import DeviceFault
 from thermacq.hooks import Driver, Evidence
 from thermacq.settings import check_settings
 from thermacq.timing.clock import NS_PER_S
-from thermacq.transports import SerialNode, Transports
+from thermacq.transports import Transports
 from thermacq_drivers.simflume.exposures import sleep_until
-from thermacq_drivers.transports.serial import SerialPort, find_port
+from thermacq_drivers.transports.serial import PortFinder, SerialPort
 
 CYCLE_S = 50e-6
 CYCLES_PER_S = 20_000
@@ -180,12 +180,9 @@ class PulsePal:
     def __init__(self, context: DeviceContext) -> None:
         self._name = context.name
         self._clock = context.clock
-        self._transports = context.transports
-        # A box on a named port need not have the USB ids of the usual board.
-        self._serial, self._path = context.serial, str(context.settings.get("port", ""))
+        self._finder = PortFinder(context, (_IDS,))
         self._settings = PulsePalSettings()
         self._port: SerialPort | None = None
-        self._node = SerialNode("")
         self._period_cycles = 0
         self._count: int | None = None
 
@@ -198,11 +195,8 @@ class PulsePal:
     def open(self) -> DeviceIdentity:
         """Find the box with the rig's serial number or port, or the only one, and shake hands."""
         self.close()
-        nodes = self._transports.serial_ports()
-        if not self._path:
-            nodes = [node for node in nodes if (node.vid, node.pid) == _IDS]
-        self._node = find_port(nodes, self._name, serial=self._serial, path=self._path)
-        port = SerialPort(self._name, self._node.path)
+        node = self._finder.find()
+        port = SerialPort(self._name, node.path)
         try:
             # What another program left unread, such as answers that it did not wait for, is none of ours.
             port.discard("open")
@@ -213,16 +207,14 @@ class PulsePal:
             port.close()
             raise
         self._port = port
-        return DeviceIdentity("pulse_pal", "Pulse Pal 2", self._node.serial, str(firmware))
+        return DeviceIdentity("pulse_pal", "Pulse Pal 2", node.serial, str(firmware))
 
     def configure(self, settings: Settings) -> Settings:
         """Apply settings; they overwrite whatever was set by hand."""
         self.disarm()
         checked = check_settings(PulsePalSettings, settings, self._name)
         self._require_open("configure")
-        if checked.port not in ("", self._node.path):
-            what = f"settings name port '{checked.port}', the open one is '{self._node.path}'"
-            raise self._fault("configure", what)
+        self._finder.confirm(checked.port)
         self._settings = checked
         self._set_up()
         return checked.model_dump(mode="json")

@@ -30,8 +30,8 @@ from thermacq.devices import (
 from thermacq.errors import DeviceFault, DeviceTimeout
 from thermacq.hooks import Driver, Evidence
 from thermacq.settings import check_settings
-from thermacq.transports import SerialNode, Transports
-from thermacq_drivers.transports.serial import SerialPort, find_port
+from thermacq.transports import Transports
+from thermacq_drivers.transports.serial import PortFinder, SerialPort
 
 LONGEST_LINE = 256
 _WAIT_S = 0.05
@@ -129,10 +129,8 @@ class SerialAsciiProbe:
     def __init__(self, context: DeviceContext) -> None:
         self._name = context.name
         self._clock = context.clock
-        self._transports = context.transports
-        self._serial, self._path = context.serial, str(context.settings.get("port", ""))
+        self._finder = PortFinder(context)
         self._settings = SerialAsciiSettings()
-        self._node = SerialNode("")
         self._port: SerialPort | None = None
         self._armed = False
         self._count = 0
@@ -148,24 +146,18 @@ class SerialAsciiProbe:
     def open(self) -> DeviceIdentity:
         """Find the port by the adapter's serial number or by its path; it is opened by `configure`."""
         self.close()
-        nodes = self._transports.serial_ports()
-        self._node = find_port(nodes, self._name, serial=self._serial, path=self._path)
-        self._serial = self._serial or self._node.serial
-        model = f"serial probe on {self._node.product or 'a serial port'}"
-        return DeviceIdentity("serial_ascii", model, self._node.serial or self._node.path)
+        node = self._finder.find()
+        model = f"serial probe on {node.product or 'a serial port'}"
+        return DeviceIdentity("serial_ascii", model, node.serial or node.path)
 
     def configure(self, settings: Settings) -> Settings:
         """Apply settings and open the port with them."""
         self.disarm()
-        if not self._node.path:
-            raise DeviceFault(self._name, "configure", "it is not open")
         checked = check_settings(SerialAsciiSettings, settings, self._name)
-        if checked.port not in ("", self._node.path):
-            what = f"settings name port '{checked.port}', the open one is '{self._node.path}'"
-            raise DeviceFault(self._name, "configure", what)
+        node = self._finder.confirm(checked.port)
         self._close_port()
         self._settings = checked
-        self._port = SerialPort(self._name, self._node.path, checked.baud, checked.frame)
+        self._port = SerialPort(self._name, node.path, checked.baud, checked.frame)
         return checked.model_dump()
 
     def arm(self) -> None:
@@ -211,7 +203,7 @@ class SerialAsciiProbe:
         """Let go of the port."""
         self.disarm()
         self._close_port()
-        self._node = SerialNode("")
+        self._finder.node = None
 
     def _close_port(self) -> None:
         if self._port is not None:

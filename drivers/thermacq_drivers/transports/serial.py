@@ -17,6 +17,8 @@ from thermacq.transports import SerialNode
 if TYPE_CHECKING:
     import serial
 
+    from thermacq.devices import DeviceContext
+
 # Reads return this often, so that whoever waits can look whether to stop.
 _SLICE_S = 0.05
 
@@ -60,6 +62,42 @@ def find_port(nodes: Sequence[SerialNode], device: str, *, serial: str = "", pat
             remedy="Say in the rig which one is meant: its serial, or its port where it has none.",
         )
     return fitting[0]
+
+
+class PortFinder:
+    """Finds the serial port of one device, and the same device again after its cable was pulled.
+
+    Parameters
+    ----------
+    context
+        Context of the device: its name, where to look, which serial number the rig expects, and the setting
+        ``port`` for devices without one.
+    ids
+        (vid, pid) that are taken; empty takes any. A named port is taken whatever its ids.
+    """
+
+    def __init__(self, context: DeviceContext, ids: Sequence[tuple[int, int]] = ()) -> None:
+        self._name, self._transports, self._ids = context.name, context.transports, ids
+        self._serial, self._path = context.serial, str(context.settings.get("port", ""))
+        self.node: SerialNode | None = None
+
+    def find(self) -> SerialNode:
+        """Look for it; raises as `find_port` does."""
+        nodes = self._transports.serial_ports()
+        if self._ids and not self._path:
+            nodes = [node for node in nodes if (node.vid, node.pid) in self._ids]
+        self.node = find_port(nodes, self._name, serial=self._serial, path=self._path)
+        self._serial = self._serial or self.node.serial
+        return self.node
+
+    def confirm(self, port: str) -> SerialNode:
+        """The port that was found, if it is the one that the settings name (empty: any); for `configure`."""
+        if self.node is None:
+            raise DeviceFault(self._name, "configure", "it is not open")
+        if port not in ("", self.node.path):
+            what = f"settings name port '{port}', the open one is '{self.node.path}'"
+            raise DeviceFault(self._name, "configure", what)
+        return self.node
 
 
 class SerialPort:
