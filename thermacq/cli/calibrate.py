@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from thermacq.report.calibration_page import ShownView
     from thermacq_calibration import Board, StereoCalibration, View
 
+_LOOKED_AT = 5
+"""Pictures without a board in which other boards are looked for."""
+_MARKERS_OF_CHARUCO = 4
+
 
 class BoardName(StrEnum):
     """The kinds of boards; spelt here too, so that the command line need not wait for numpy."""
@@ -229,12 +233,13 @@ def _require_pairs(pictures: Sequence[PictureView], views: Sequence[View], board
     nothing = "" if found else f"no {_named(board)} was found in any of the {looked_at} pictures"
     if not any(picture.left and picture.right for picture in pictures):
         alone = "no picture has a partner from the other camera, and a stereo calibration needs pairs"
-        raise CalibrationError(
-            f"{nothing}; moreover, {alone}" if nothing else alone,
-            remedy="Name the pictures of one view alike apart from left/right, or give --left and --right.",
-        )
+        naming = "Name the pictures of one view alike apart from left/right, or give --left and --right."
+        if nothing:
+            there = _what_is_there(pictures, board)
+            raise CalibrationError(f"{nothing}; moreover, {alone}", remedy=f"{there} {naming}")
+        raise CalibrationError(alone, remedy=naming)
     if nothing:
-        raise CalibrationError(nothing, remedy=_miscount(pictures, board))
+        raise CalibrationError(nothing, remedy=_what_is_there(pictures, board))
 
 
 def _named(board: Board) -> str:
@@ -250,19 +255,35 @@ def _named(board: Board) -> str:
     return f"{names[board.kind]} of {board.columns} x {board.rows} inner corners"
 
 
-def _miscount(pictures: Sequence[PictureView], board: Board) -> str:
-    """Say with which corner counts boards are found in the first pictures, if with any."""
-    from thermacq.errors import ImportDataError
-    from thermacq_calibration.targets.targets import similar_boards
+def _what_is_there(pictures: Sequence[PictureView], board: Board) -> str:
+    """Say which other board the first pictures show, if they show one."""
+    from collections import Counter
 
-    for load in [picture.left for picture in pictures if picture.left][:3]:
+    from thermacq.errors import ImportDataError
+    from thermacq_calibration.targets.targets import other_markers, similar_boards
+
+    markers: Counter[str] = Counter()
+    most = 0
+    for load in [picture.left for picture in pictures if picture.left][:_LOOKED_AT]:
         try:
-            sizes = similar_boards(load(), board)
+            counts = load()
         except ImportDataError:
             continue
-        if sizes:
+        if sizes := similar_boards(counts, board):
             columns, rows = sizes[0]
             return f"A board of {columns} x {rows} inner corners is there: count corners, not squares."
+        seen = other_markers(counts, board)
+        markers.update(seen)
+        most = max(most, len(seen))
+    if most >= _MARKERS_OF_CHARUCO:
+        return f"There are up to {most} markers in a picture: a ChArUco board wants --board charuco."
+    if markers:
+        bits = markers.most_common(1)[0][0]
+        return (
+            "A marker stands in the board, which hides it from plain search: give --board marked, --marker-m (side "
+            f"of its black border) and --dictionary {bits}. So its bits stand in the pictures, 1 for light; a board "
+            "held turned turns them."
+        )
     return (
         "Check --columns and --rows (inner corners, not squares), focus, and the contrast of the board. Boards "
         "with markers or circles want --board; a marker in the middle of a chessboard hides it from plain search."

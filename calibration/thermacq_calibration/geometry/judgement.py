@@ -13,6 +13,8 @@ from thermacq_calibration.models import Board
 
 # Boards are carried by hand; larger numbers are millimetres or centimetres.
 _LARGEST_SQUARE_M = 0.5
+# Squares of so many centimetres are no smaller than the largest; fewer may be centimetres.
+_MILLIMETRES_FROM = 15.0
 # Two cameras over a flume stand centimetres apart.
 _LARGE_BASELINE_M = 1.0
 # Bootstrap over covariance of the fit: on simulated views with independent errors 0.7 to 1.3.
@@ -30,7 +32,12 @@ def refuse_impossible_square(board: Board) -> None:
     if board.square_m > _LARGEST_SQUARE_M:
         raise CalibrationError(
             f"squares of {board.square_m:g} m make no board: the side of a square is wanted in metres",
-            remedy=f"If it is {board.square_m:g} mm, give {board.square_m / 1000:g}.",
+            remedy=f"If it is {board.square_m:g} mm, give {board.square_m / 1000:g}"
+            + (
+                f"; if {board.square_m:g} cm, {board.square_m / 100:g}."
+                if board.square_m < _MILLIMETRES_FROM
+                else "."
+            ),
         )
 
 

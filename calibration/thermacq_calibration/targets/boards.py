@@ -57,7 +57,8 @@ def check_board(board: Board) -> None:
     if board.kind is BoardKind.CHESSBOARD and (board.columns + board.rows) % 2 == 0:
         raise CalibrationError(
             f"{size} looks the same after half a turn",
-            remedy="Count inner corners, not squares; use a board with one even and one odd count.",
+            remedy="Count inner corners, not squares; use a board with one even and one odd count. A chessboard with "
+            "a marker in its middle may have any counts: it is of the kind `marked`.",
         )
     if board.kind in (BoardKind.CHARUCO, BoardKind.MARKED):
         _check_markers(board)

@@ -24,6 +24,7 @@ from thermacq_calibration.targets.detection import Detection, NoBoard
 from thermacq_calibration.targets.marked import find_marked
 from thermacq_calibration.targets.pictures import saturation, stretch, unusable
 from thermacq_calibration.targets.poses import pixel_noise
+from thermacq_calibration.targets.seen_markers import seen_markers
 
 FRAMES_TO_AVERAGE = 16
 # Edges that wide (10 % to 90 %) come from a blur of sigma 4 px, or of 2 px under much noise.
@@ -96,3 +97,10 @@ def similar_boards(picture: NDArray[Any], board: Board) -> list[tuple[int, int]]
     if board.kind is not BoardKind.CHESSBOARD or unusable(picture):
         return []
     return similar_chessboards(stretch(picture), board)
+
+
+def other_markers(picture: NDArray[Any], board: Board) -> list[str]:
+    """Bits of the markers that stand in a picture in which a plain chessboard was not found; see `seen_markers`."""
+    if board.kind is not BoardKind.CHESSBOARD or unusable(picture):
+        return []
+    return seen_markers(stretch(picture))
