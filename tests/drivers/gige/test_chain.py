@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from thermacq.reconstruction.pairs import run_pairs
 from thermacq.store import open_run
 from thermacq.timing import unwrap_counter
 
@@ -118,6 +119,7 @@ def test_lost_packets_and_a_pause_are_told_by_the_file(fake_camera, second_addre
 def test_a_killed_camera_ends_the_run_and_harms_nothing(pair, thermacq, tmp_path):
     _, right = pair
     path = tmp_path / "run.h5"
+    (tmp_path / "rig.toml").write_text(RIG + '[reconnect]\npolicy = "fail"\n')
 
     killer = threading.Thread(target=lambda: (wait_for_frames(path), right.kill()))
     killer.start()
@@ -180,3 +182,41 @@ def frames_written(path: Path) -> int:
             return len(run.frames("right"))
     except Exception:
         return 0
+
+
+def test_a_killed_camera_that_returns_goes_on_in_the_same_file(pair, thermacq, tmp_path):
+    _, right = pair
+    path = tmp_path / "run.h5"
+
+    def replug() -> None:
+        wait_for_frames(path)
+        right.kill()
+        time.sleep(1.0)
+        right.start()
+
+    replugging = threading.Thread(target=replug)
+    replugging.start()
+    done = thermacq("record", "rig.toml", "-o", "run.h5", "--duration", "12", "--json")
+    replugging.join()
+    assert done.returncode == 0, done.stderr
+    with open_run(path) as run:
+        summary = run.summary()
+        (outage,) = summary["sync"]["outages"]
+        assert (outage["device"], outage["came_back"], outage["changed"]) == ("right", True, {})
+        told = [event.kind for event in run.events() if event.device == "right"]
+        assert told.count("disconnected") == told.count("reconnected") == 1
+        left, right_frames = run.frames("left"), run.frames("right")
+        assert np.max(np.diff(left.host_ns)) < 1e9
+        assert lost_in_file(run, "left") == sum(summary["sync"]["devices"]["left"]["lost"].values())
+        (back_ns,) = right_frames.restarts_ns
+        before = right_frames.host_ns < back_ns
+        gap_s = (back_ns - right_frames.host_ns[before][-1]) / 1e9
+        assert 1 < gap_s < 16
+        missed = summary["sync"]["devices"]["right"]["lost"]["disconnected"]
+        assert missed == pytest.approx(25 * gap_s, abs=3)
+        assert np.count_nonzero(~before) > 25
+        # Frames after the return are paired with those of the camera that stayed.
+        pairs = run_pairs(run)
+        assert np.max(right_frames.host_ns[pairs.right] - back_ns) > 1e9
+        assert np.max(np.abs(left.ticks[pairs.left] - right_frames.ticks[pairs.right])) < 25e6
+    assert thermacq("verify", "run.h5").returncode == 0
