@@ -56,6 +56,8 @@ _ANSWER_S = 1.0
 _ENDLESS_CYCLES = 4_000_000_000
 # A counted train is waited for this much longer than the host's clock says, for the box's clock may be slow.
 _CLOCK_TOLERANCE = 200e-6
+# A soft trigger can be on its way for so long: USB, and a busy computer.
+_LATEST_START_NS = 50_000_000
 
 
 class Command(IntEnum):
@@ -265,7 +267,8 @@ class PulsePal:
                 return
             yield TriggerPulse(index, due_ns)
             index += 1
-        lag_ns = round(index * period_ns * _CLOCK_TOLERANCE)
+        # The box ends the train by itself; whoever disarms it now must not cut off the last pulse.
+        lag_ns = round(index * period_ns * _CLOCK_TOLERANCE) + _LATEST_START_NS
         self._wait(first_ns + (index - 1) * period_ns + lag_ns + self._width_ns(), host, index)
 
     def disarm(self) -> None:
