@@ -28,6 +28,9 @@ CAMERA_PARAMETERS = 12
 PARAMETERS = 2 * CAMERA_PARAMETERS + 6
 _CONVERGED = 1e-10
 _MAX_DAMPING = 1e8
+# Condition number of the normed system up to which parameters count as determined. Simulated: 1e3 to 2e5 for models
+# without k4, 4e9 for the rational model of a wide-angle lens that needs it, 5e11 and more where it is not needed.
+_MAX_CONDITION = 1e10
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +260,7 @@ def covariance(found: Fit, corners: Corners) -> Float | None:
     if not (scale > 0).all():
         return None
     normed = matrix / np.outer(scale, scale)
-    if np.linalg.cond(normed) > 1e12:
+    if np.linalg.cond(normed) > _MAX_CONDITION:
         return None
     variance = np.sum(found.errors_px**2) / max(1, degrees_of_freedom(corners, found.free))
     return np.asarray(variance * np.linalg.inv(normed) / np.outer(scale, scale))

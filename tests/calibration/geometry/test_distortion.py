@@ -44,6 +44,30 @@ def test_the_choice_follows_the_lens(pair, distortion, wanted):
     assert min(score.excess_px2 for score in scores if score.determined) == 0
 
 
+def forty_views(pair, seed):
+    points = board_points(pair.board)
+    return Corners.join(
+        [(points, view.left.corners, view.right.corners) for view in pair.views(40, 0.1, seed=seed)]
+    )
+
+
+def test_weak_tangential_distortion_is_not_left_out(pair):
+    """The principal point would take it up, and err by several of its stated uncertainties."""
+    corners = forty_views(pair, seed=1027)
+    model, scores = choose(first_solution(corners, SIZE), corners)
+    assert next(score for score in scores if score.excess_px2 == 0).model == "k1 k2"
+    assert model == "k1 k2 p1 p2"
+
+
+def test_a_rational_model_of_a_narrow_lens_is_not_determined(pair):
+    """Its coefficients cancel: here it predicts held-out views best, but says nothing on depth."""
+    corners = forty_views(pair, seed=1073)
+    model, scores = choose(first_solution(corners, SIZE), corners)
+    assert not scores[-1].determined
+    assert scores[-1].excess_px2 < 0
+    assert model == "k1 k2 p1 p2"
+
+
 def test_a_strong_fisheye_needs_more_coefficients(pair):
     corners = views_of(pair, [-0.6, 0.9, 0.0, 0.0, -1.2], noise_px=0.02)
     model, scores = choose(first_solution(corners, SIZE), corners)
