@@ -205,6 +205,8 @@ def _tell_result(result: RecordingResult, as_json: bool) -> None:
 
 def sync_lines(report: dict[str, Any]) -> list[str]:
     """The sync report in words, one line for each fact."""
+    from thermacq.timing import line_rows
+
     lines = [f"trigger      {report['trigger_mode']}, {report['clock']} clock"]
     if report["note"]:
         lines.append(f"             {report['note']}")
@@ -213,6 +215,8 @@ def sync_lines(report: dict[str, Any]) -> list[str]:
         lines.append(f"pairs        {report['pairs']} by {report['paired_by']}; unpaired: {unpaired}")
         if report["skew_ns"]:
             lines.append(f"skew         {_skew(report['skew_ns'])} ({report['skew_source']})")
+    if "line" in report:
+        lines += [f"{'line':12} {what}: {words}" for what, words in line_rows(report["line"])]
     for name, device in report["devices"].items():
         written = f", written {device['written']}" if "written" in device else ""
         lost = _losses(device["lost"])

@@ -176,6 +176,10 @@ def sync_rows(sync: dict[str, Any] | None) -> list[tuple[str, str]]:
             f"{name} {float(skew[name]) / 1000:.3g} µs" for name in ("p50", "p99", "max") if name in skew
         )
         rows += [("skew", figures), ("skew is taken from", str(sync.get("skew_source", "")))]
+    if line := sync.get("line"):
+        from thermacq.timing import line_rows
+
+        rows += [(f"trigger line, {what}", words) for what, words in line_rows(line)]
     return [*rows, ("late triggers, skipped", _by_name(sync.get("late_triggers", {})))]
 
 

@@ -73,11 +73,14 @@ class DeviceReport:
 
 
 def flat(settings: Mapping[str, Any], place: str = "") -> dict[str, Any]:
-    """Settings with the keys of inner tables written out: ``{"clock.drift_ppm": 8.0}``."""
+    """Settings with the keys of inner tables written out: ``{"clock.drift_ppm": 8.0, "inputs[0].ain": 2}``."""
     found: dict[str, Any] = {}
     for key, value in settings.items():
         if isinstance(value, Mapping):
             found.update(flat(value, f"{place}{key}."))
+        elif isinstance(value, list | tuple) and value and all(isinstance(item, Mapping) for item in value):
+            for number, item in enumerate(value):
+                found.update(flat(item, f"{place}{key}[{number}]."))
         else:
             found[f"{place}{key}"] = list(value) if isinstance(value, tuple) else value
     return found

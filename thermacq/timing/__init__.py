@@ -15,7 +15,7 @@ from thermacq.timing.line import (
 )
 from thermacq.timing.models import ClockModel, fit_clock, fit_clock_to_pulses
 from thermacq.timing.pairing import FrameTimes, Pairs, frame_times_ns, pair_frames
-from thermacq.timing.report import skew_figures, sync_report
+from thermacq.timing.report import line_rows, skew_figures, sync_report
 from thermacq.timing.restarts import (
     DeviceTimes,
     RestartedClock,
@@ -46,6 +46,7 @@ __all__ = [
     "follow_line",
     "frame_times_ns",
     "line_of_probes",
+    "line_rows",
     "lost_between",
     "make_clock",
     "pair_frames",

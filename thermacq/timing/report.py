@@ -79,6 +79,26 @@ def _pair_report(
     }
 
 
+def line_rows(line: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The part ``line`` of a report in words: of what, and what is said of it."""
+    first = ", ".join(str(index) for index in line["lost_pulse_indices"])
+    listed = f" ({first}{', ...' if line['lost_pulses'] > len(line['lost_pulse_indices']) else ''})"
+    emitted = f", {line['emitted']} reckoned by the source" if "emitted" in line else ""
+    pulses = (
+        f"{line['stamped']} stamped by '{line['probe']}'{emitted}; lost on the line {line['lost_pulses']}"
+        f"{listed if first else ''}, missed by the probe {line['not_stamped']}, "
+        f"additional {line['extra_pulses']}"
+    )
+    rows = [("pulses", pulses)]
+    for name, camera in line["cameras"].items():
+        words = (
+            f"{camera['frames']} pulses have a frame; frames lost {camera['lost']}, pulses not followed "
+            f"{camera['overlooked']}, frames of no pulse {camera['extra']}"
+        )
+        rows.append((name, words))
+    return rows
+
+
 def skew_figures(skew_ns: NDArray[np.int64]) -> dict[str, float] | None:
     """Median, 99th percentile and maximum of the absolute skew, ns; None without pairs."""
     if skew_ns.size == 0:
