@@ -20,6 +20,7 @@ from thermacq.devices import (
 )
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
 from thermacq.settings import check_settings
+from thermacq.timing.clock import NS_PER_S
 from thermacq.transports import Transports, VideoNode
 from thermacq_drivers.boson.acquisition import Acquisition, Picture, parse_temperature
 from thermacq_drivers.boson.control import BosonControl, CommandRefused
@@ -140,6 +141,22 @@ class BosonCamera:
         control.set(Function.SET_FFC_MODE, FFC_MODES.index(wanted.ffc_mode), "configure")
         if wanted.gain != "leave":
             control.set(Function.SET_GAIN_MODE, GAIN_MODES.index(wanted.gain), "configure")
+        return self._find_picture(wanted)
+
+    def adopt(self) -> Settings:
+        """Take over the modes that the camera is in; telemetry and sync are set, for no frame counts without."""
+        self.disarm()
+        control = self._opened("configure")
+        self._set_sync(0, "configure")
+        ffc_mode = _unsigned(control.call(Function.FFC_MODE, stage="configure"))
+        gain = _unsigned(control.call(Function.GAIN_MODE, stage="configure"))
+        found = {"gain": GAIN_MODES[gain] if gain < len(GAIN_MODES) else "leave"}
+        if ffc_mode < len(FFC_MODES):
+            found["ffc_mode"] = FFC_MODES[ffc_mode]
+        return self._find_picture(self._settings.model_copy(update=found))
+
+    def _find_picture(self, wanted: BosonSettings) -> Settings:
+        """Agree on the format, and look for the telemetry in it; returns the settings in force."""
         place = self._find_telemetry(wanted)
         self._picture = Picture(self._negotiate(place is not None), place, self._number)
         self._settings = wanted.model_copy(update={"telemetry": place.packing if place else "none"})
@@ -280,10 +297,10 @@ class BosonCamera:
     def _run_ffc(self) -> None:
         control = self._opened("arm")
         control.call(Function.RUN_FFC, stage="arm")
-        deadline_s = time.monotonic() + _FFC_S
+        deadline_ns = self._clock.now_ns() + round(_FFC_S * NS_PER_S)
         self._pause(_FFC_BEGINS_NS)
         while _unsigned(control.call(Function.FFC_STATUS, stage="arm")) != _FFC_COMPLETE:
-            if time.monotonic() > deadline_s:
+            if self._clock.now_ns() > deadline_ns:
                 what = f"its flat-field correction was not complete after {_FFC_S:g} s"
                 remedy = "Does its shutter click? A camera without shutter needs ffc_at_arm = false."
                 raise DeviceTimeout(self._name, "arm", what, remedy=remedy)
