@@ -9,9 +9,8 @@ processes, threads, clocks and buffers; a driver owns none of them. The life of 
 device that is already there. Every wait inside a driver is bounded and looks at ``host.stopping()`` at
 least every 0.1 s, so that a generator ends soon after the host asked. Faults are raised as the typed
 errors of `thermacq.errors`: after `IncompleteFrame` and `DeviceOverrun` the host counts the loss and asks
-the device for a new generator without disarming it. After `DeviceDisconnected` and `DeviceTimeout` it closes
-the device and tries, as the rig's ``[reconnect]`` says, to open the same individual again; every other fault
-ends the device's part of the run.
+for a new generator without disarming. After `DeviceDisconnected` and `DeviceTimeout` it closes the device and
+tries, as ``[reconnect]`` says, to open the same individual; any other fault ends the device's part of the run.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ class FrameFlag(IntFlag):
     INCOMPLETE = 2
     """Part of the picture was lost on the way; the counts are not to be trusted."""
     RESTARTED = 4
-    """The first frame after the camera was away: its counter and clock began anew. Set by the host."""
+    """First frame after the camera was away: counter and clock began anew. Set by the host."""
 
 
 @dataclass(frozen=True)
@@ -395,11 +394,7 @@ Device: TypeAlias = Camera | WaveProbe | TriggerSource
 
 @runtime_checkable
 class Adopting(Protocol):
-    """A device that can tell its settings without being given any, for the reconnect policy ``device_wins``.
-
-    Optional: a verb that some drivers have besides those of their kind.
-    """
+    """What drivers may have besides the verbs of their kind, for the reconnect policy ``device_wins``."""
 
     def adopt(self) -> Settings:
         """Read what is in force on the open device, change nothing there, and return it as `configure` does."""
-        ...

@@ -94,6 +94,24 @@ class GigeCamera:
             self._capabilities = self._declare(link)
         return self._settings.model_dump()
 
+    def adopt(self) -> Settings:
+        """Read what is in force on the camera; buffers and time limits, which are the host's, stay as they were."""
+        link, settings = self._opened("adopt"), self._settings
+        with self._during("adopt"):
+            pixel_format = str(link.get("PixelFormat"))
+            if pixel_format not in BIT_DEPTHS:
+                known = ", ".join(BIT_DEPTHS)
+                raise self._fault(DeviceFault, "adopt", f"it sends {pixel_format}; possible are {known}")
+            settings = settings.model_copy(
+                update={
+                    "pixel_format": pixel_format,
+                    "packet_size": link.packet_size() or settings.packet_size,
+                }
+            )
+            self._settings = _in_force(link, settings, link.set_exposure_us(0.0))
+            self._capabilities = self._declare(link)
+        return self._settings.model_dump()
+
     def arm(self, mode: TriggerMode, frame_rate_hz: float) -> None:
         """Set the trigger, prepare the stream; a free-running camera starts with the first frame asked for."""
         self.disarm()
@@ -261,17 +279,21 @@ def _apply(link: AravisLink, wanted: GigeSettings) -> GigeSettings:
     link.drop_stream()
     if wanted.ptp:
         link.enable_ptp()
+    changed = {"packet_size": packet_size, "socket_buffer_bytes": granted}
+    return _in_force(link, wanted.model_copy(update=changed), exposure_us)
+
+
+def _in_force(link: AravisLink, settings: GigeSettings, exposure_us: float) -> GigeSettings:
+    """The settings with what the camera itself says of region, exposure, PTP and named features."""
     offset_x, offset_y, columns, rows = link.region()
-    return wanted.model_copy(
+    return settings.model_copy(
         update={
-            "features": {name: link.get(name) for name in wanted.features},
+            "features": {name: link.get(name) for name in settings.features},
             "offset_x": offset_x,
             "offset_y": offset_y,
             "columns": columns,
             "rows": rows,
             "exposure_us": exposure_us,
-            "packet_size": packet_size,
-            "socket_buffer_bytes": granted,
             "ptp_status": link.ptp_status(),
         }
     )

@@ -252,6 +252,13 @@ class AravisLink:
             return False
         return not self.lost
 
+    def packet_size(self) -> int:
+        """Packet size in force; 0 for USB3 Vision cameras, which have none."""
+        if not self._is_gv:
+            return 0
+        with self._asking():
+            return int(self._camera.gv_get_packet_size())
+
     def set_packet_size(self, size: int) -> int:
         """Set the packet size; returns the one in force. USB3 Vision cameras have none."""
         if not self._is_gv:

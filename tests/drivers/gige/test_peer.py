@@ -212,6 +212,20 @@ def test_a_killed_camera_is_a_disconnection_and_comes_back(fake_camera, running)
     assert len(Host(camera).take(5)) == 5
 
 
+def test_settings_in_force_are_read_without_being_set(fake_camera, gige):
+    fake_camera("GV01")
+    first = gige("GV01")
+    first.open()
+    applied = first.configure({**SMALL, "exposure_us": 3000.0})
+    first.close()
+    second = gige("GV01")
+    second.open()
+    adopted = second.adopt()
+    assert adopted == applied
+    assert (adopted["columns"], adopted["rows"], adopted["exposure_us"]) == (128, 96, 3000.0)
+    assert (second.capabilities.rows, second.capabilities.columns) == (96, 128)
+
+
 def test_a_camera_without_a_network_is_driven_too(aravis, running):
     """Aravis' in-process camera: neither packets nor sockets, as with USB3 Vision."""
     library = load()
