@@ -24,7 +24,7 @@ from thermacq.hooks import Evidence
 from thermacq.plugins import load_plugins
 from thermacq.rig import parse_rig
 from thermacq.rig.fit import find_misfits
-from thermacq.rig.inspection import DeviceReport, inspect_devices
+from thermacq.rig.inspection import DeviceReport, flat, inspect_devices
 from thermacq.rig.machine import Machine
 
 PLUGIN = """
@@ -285,3 +285,14 @@ def test_this_repository_keeps_no_runtime_folder_behind(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     inspect_devices(parse_rig(PATTERN.format(name="left")))
     assert list(Path(tmp_path).iterdir()) == []
+
+
+def test_inner_tables_and_lists_of_tables_are_compared_key_by_key():
+    asked = {"clock": {"ppm": 3}, "inputs": [{"ain": 0}, {"ain": 1}], "channels": ("a", "b"), "none": []}
+    assert flat(asked) == {
+        "clock.ppm": 3,
+        "inputs[0].ain": 0,
+        "inputs[1].ain": 1,
+        "channels": ["a", "b"],
+        "none": [],
+    }

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from thermacq.timing import fit_clock, skew_figures, sync_report
+from thermacq.timing import fit_clock, line_rows, skew_figures, sync_report
 
 
 @dataclass
@@ -60,3 +60,26 @@ def test_one_camera_has_no_pairs() -> None:
 def test_skew_is_an_absolute_value() -> None:
     assert skew_figures(np.array([-3, 1, 2])) == {"p50": 2.0, "p99": pytest.approx(2.98), "max": 3.0}
     assert skew_figures(np.empty(0, np.int64)) is None
+
+
+def test_the_line_in_words():
+    figures = {
+        "probe": "gauge",
+        "stamped": 900,
+        "emitted": 1000,
+        "extra_pulses": 1,
+        "lost_pulses": 3,
+        "lost_pulse_indices": [4, 5],
+        "not_stamped": 2,
+        "cameras": {"left": {"frames": 990, "lost": 5, "overlooked": 4, "extra": 1}},
+    }
+    assert line_rows(figures) == [
+        (
+            "pulses",
+            (
+                "900 stamped by 'gauge', 1000 reckoned by the source; lost on the line 3 (4, 5, ...), missed "
+                "by the probe 2, additional 1"
+            ),
+        ),
+        ("left", "990 pulses have a frame; frames lost 5, pulses not followed 4, frames of no pulse 1"),
+    ]
