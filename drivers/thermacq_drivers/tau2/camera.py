@@ -43,6 +43,7 @@ from thermacq_drivers.transports.usb import UsbPort, find_devices, serial_of
 _FIRST_PICTURE_S = 3.0
 _FFC_S = 8.0
 _FFC_BEGINS_S = 0.1
+_FFC_POLL_NS = 100_000_000
 _QUIET_S, _LONGEST_DRAIN_S = 0.2, 1.5
 _RATE_TOLERANCE = 0.02
 
@@ -84,7 +85,7 @@ class Tau2Camera:
         self._forget_stream()
 
     def _forget_stream(self) -> None:
-        self._good = 0
+        self._good = self._damaged = 0
         self._shown: Counts | None = None
         self._temperature_k = float("nan")
         self._ffc_runs = False
@@ -188,14 +189,16 @@ class Tau2Camera:
         link = self._opened("acquire")
         heard_s = time.monotonic()
         while self._streams() and not host.stopping():
+            if self._damaged:
+                self._damaged -= 1
+                what = "a frame came damaged and was thrown away"
+                raise IncompleteFrame(self._name, "acquire", what, last_frame=self._good - 1)
             if link.shots:
                 yield self._frame(link.shots.popleft(), host)
                 heard_s = time.monotonic()
                 continue
             self._look_after_the_camera(link)
-            if link.read("acquire"):
-                what = "a frame came damaged and was thrown away"
-                raise IncompleteFrame(self._name, "acquire", what, last_frame=self._good - 1)
+            self._damaged += link.read("acquire")
             if time.monotonic() - heard_s > self._settings.timeout_s and not link.shots:
                 what = f"no frame came for {self._settings.timeout_s:g} s"
                 remedy = (
@@ -246,6 +249,9 @@ class Tau2Camera:
         with suppress(ValueError):
             if asked is Sensor.STATUS:
                 self._ffc_runs = bool(packets.parse_word(answer.data) & FFC_RUNNING)
+                if self._ffc_runs:
+                    self._next_question = Sensor.STATUS
+                    self._ask_at_ns = self._clock.now_ns() + _FFC_POLL_NS
             else:
                 self._temperature_k = packets.parse_temperature(answer.data, asked)
 

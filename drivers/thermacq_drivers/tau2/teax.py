@@ -83,7 +83,8 @@ class StreamFinder:
         self._bytes = bytearray()
         self._seen = 0
         self._skipped = 0
-        self._began = False
+        # Size of the last good frame; 0 before the first.
+        self._frame_bytes = 0
         self.serial = bytearray()
         self.damaged = 0
 
@@ -97,8 +98,8 @@ class StreamFinder:
                 self._pass_over(max(0, len(self._bytes) - 3))
                 return found
             self._pass_over(mark.start())
-            took = self._take_byte() if mark.group() == b"UART" else self._take_frame(found)
-            if not took:
+            is_frame = self._bytes.startswith(b"TEAX")
+            if not (self._take_frame(found) if is_frame else self._take_byte()):
                 return found
 
     def _take_byte(self) -> bool:
@@ -129,18 +130,18 @@ class StreamFinder:
             self._note_damage(whole)
         else:
             found.append(counts)
-            self._began = True
+            self._frame_bytes = whole
             self._drop(whole)
         return True
 
     def _note_damage(self, number: int) -> None:
-        self.damaged += self._began
+        self.damaged += self._frame_bytes > 0
         self._drop(number)
 
     def _drop(self, number: int) -> None:
-        """Be done with so many bytes; noise before them was a frame whose mark was damaged, if it is long."""
-        if self._skipped > _LONGEST_NOISE_BYTES:
-            self.damaged += self._began
+        """Be done with so many bytes; long noise before them was frames whose mark was damaged."""
+        if self._skipped > _LONGEST_NOISE_BYTES and self._frame_bytes:
+            self.damaged += max(1, round(self._skipped / self._frame_bytes))
         self._skipped = 0
         self._forget(number)
 
