@@ -1,17 +1,18 @@
 """Distortion models and the choice between them by cross-validation, not by habit.
 
 Each candidate is fitted to four fifths of the views; in the others only the pose of the board is fitted, and the
-reprojection error that remains is the score. Candidates remain whose mean squared error exceeds the best one's by no
-more than half a standard error of that difference between views (a stricter form of the one-standard-error rule of
-Hastie, Tibshirani and Friedman, "The elements of statistical learning", section 7.10, on paired differences: all
-candidates are tried on the same views). Of these the simplest with tangential distortion is taken; without it only
-where the held-out views speak against it. A candidate of which the views leave a coefficient open (the rational
-model of a lens that distorts little) is not taken.
+reprojection error that remains is the score. Differences of mean squared error are judged by their standard error
+between views, as all candidates are tried on the same views. Tangential distortion is left out only where the best
+candidate with it is worse than the best one by two standard errors: the principal point takes up what is left out.
+Of the candidates that remain the simplest is taken that exceeds the best of them by no more than half a standard error
+(a stricter form of the one-standard-error rule of Hastie, Tibshirani and Friedman, "The elements of statistical
+learning", section 7.10). A candidate of which the views leave a coefficient open (the rational model of a lens that
+distorts little) is not taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,9 +48,11 @@ FOLDS = 5
 # the views leave coefficients open.
 _FOLD_STEPS = 6
 # Half of the usual one standard error: a missing coefficient biases without showing in any stated uncertainty, one
-# too many only widens it. Most of all p1 and p2, whose effect the principal point takes up: where they are weak and
-# left out, it errs by 4 of its stated sigmas (RMS). See docs/explanation/calibration-uncertainty.md for figures.
+# too many only widens it.
 _ALLOWED_SE = 0.5
+# Most of all p1 and p2: where they are weak and left out, the principal point errs by up to 4 of its stated sigmas
+# (RMS); see docs/explanation/calibration-uncertainty.md for figures.
+_REFUTED_SE = 2.0
 
 
 @dataclass(frozen=True)
@@ -123,19 +126,31 @@ def choose(found: Fit, corners: Corners) -> tuple[str, tuple[Score, ...]]:
             remedy="Tilt the board by 20 to 40 degrees about both axes, and show it all over the picture.",
         )
     squares = {model: _held_out_squares(one, corners) for model, one in fits.items()}
-    best = min(
-        (model for model in squares if determined[model]), key=lambda model: float(squares[model].mean())
+    usable = [model for model in CANDIDATES if determined[model]]
+    best = _best(usable, squares)
+    scores = tuple(
+        Score(model, float(np.sqrt(errors.mean())), *_excess(errors, squares[best]), determined[model])
+        for model, errors in squares.items()
     )
-    scores = []
-    for model, errors in squares.items():
-        excess = errors - squares[best]
-        error = float(excess.std(ddof=1) / np.sqrt(excess.size))
-        rms = float(np.sqrt(errors.mean()))
-        scores.append(Score(model, rms, float(excess.mean()), error, determined[model]))
-    good = [s for s in scores if s.determined and s.excess_px2 <= _ALLOWED_SE * s.excess_se_px2]
-    # The first with tangential distortion, otherwise the first.
-    chosen = min(good, key=lambda score: "p1" not in CANDIDATES[score.model]).model
-    return chosen, tuple(scores)
+    tangential = [model for model in usable if "p1" in CANDIDATES[model]]
+    if tangential and _near(squares[_best(tangential, squares)], squares[best], _REFUTED_SE):
+        usable, best = tangential, _best(tangential, squares)
+    return next(model for model in usable if _near(squares[model], squares[best], _ALLOWED_SE)), scores
+
+
+def _best(models: Sequence[str], squares: Mapping[str, Float]) -> str:
+    return min(models, key=lambda model: float(squares[model].mean()))
+
+
+def _excess(squares: Float, best: Float) -> tuple[float, float]:
+    """How much larger the mean square is, and the standard error of this difference."""
+    excess = squares - best
+    return float(excess.mean()), float(excess.std(ddof=1) / np.sqrt(excess.size))
+
+
+def _near(squares: Float, best: Float, allowed_se: float) -> bool:
+    excess, error = _excess(squares, best)
+    return excess <= allowed_se * error
 
 
 def _held_out_squares(found: Fit, corners: Corners) -> Float:
