@@ -26,7 +26,7 @@ class RingHost:
         self._current: Counts | None = None
         self._gap_start = -1
         self._gap = 0
-        self._restarted = FrameFlag.NONE
+        self._restarted = 0
 
     def stopping(self) -> bool:
         """See `Station.stopping`."""
@@ -68,15 +68,15 @@ class RingHost:
                 frame.host_ns,
                 trigger_index,
                 trigger_ns,
-                int(frame.flags | self._restarted),
+                int(frame.flags) | self._restarted,
                 frame.fpa_temperature_k,
             )
         )
-        self._restarted = FrameFlag.NONE
+        self._restarted = 0
 
     def note_restart(self) -> None:
         """Flag the next frame that reaches the ring: counter and clock of the camera began anew before it."""
-        self._restarted = FrameFlag.RESTARTED
+        self._restarted = int(FrameFlag.RESTARTED)
 
     def close_gap(self) -> None:
         """Post the frames lost since the ring was full as one event."""
