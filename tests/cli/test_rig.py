@@ -182,7 +182,9 @@ def test_a_hanging_device_is_given_up_and_its_process_ended(tmp_path, monkeypatc
     assert set(multiprocessing.active_children()) <= before
 
 
-CAMERA = CameraCapabilities(512, 640, 14, 60.0, frozenset({TriggerMode.HARDWARE}))
+CAMERA = CameraCapabilities(
+    512, 640, 14, 60.0, frozenset({TriggerMode.HARDWARE}), tick_rate_hz=1000.0, counter_bits=32
+)
 PROBE = ProbeCapabilities(("a", "b"), "V", 1000.0)
 SOURCE = TriggerCapabilities(max_rate_hz=55.0, period_step_s=1e-3)
 PLENTY = Machine(cores=64, memory_bytes=10**12, disk_bytes=10**15)
@@ -255,6 +257,12 @@ def test_a_fitting_rig_has_no_findings():
 )
 def test_each_misfit_of_the_rig_is_found(old, new, message):
     assert any(line.startswith(message) for line in misfits(TABLES.replace(old, new, 1)))
+
+
+def test_a_camera_that_counts_nothing_is_warned_of():
+    blind = dataclasses.replace(CAMERA, tick_rate_hz=0.0, counter_bits=0)
+    (warning,) = misfits(capabilities=blind)
+    assert warning.startswith("warning: left: as it is set up it has neither frame counter nor clock")
 
 
 def test_the_same_device_twice_is_found():

@@ -129,6 +129,11 @@ def _camera_findings(rig: Rig, reports: Sequence[DeviceReport]) -> Iterator[RigF
         if mode not in camera.trigger_modes:
             offered = ", ".join(sorted(camera.trigger_modes))
             yield _error(f"{name}: trigger mode '{mode}' is not offered; it has: {offered}")
+        if mode is not TriggerMode.SOFTWARE and camera.counter_bits == 0 and camera.tick_rate_hz == 0:
+            yield _warning(
+                f"{name}: as it is set up it has neither frame counter nor clock: frames that it loses are not "
+                "noticed, and there is nothing to pair its frames by"
+            )
 
 
 def _trigger_findings(rig: Rig, reports: Sequence[DeviceReport]) -> Iterator[RigFinding]:
