@@ -7,7 +7,6 @@ that the dropped ones lie just before the reporting packet, is assumed.
 
 from __future__ import annotations
 
-import math
 import struct
 import time
 import zlib
@@ -38,6 +37,7 @@ from thermacq.testing.emulation.usb import (
     through_wire,
 )
 from thermacq.testing.emulation.world import EmulatedTransports
+from thermacq.testing.emulators.labjack_u6_stream import Stream, framed, sum8
 from thermacq.timing.clock import NS_PER_S
 from thermacq.timing.trigger_line import LineReader
 from thermacq.transports import Transports
@@ -73,56 +73,6 @@ class U6Emulation(EmulatorSettings):
     def serial_for(self, name: str) -> str:
         """A number of nine digits."""
         return self.serial or str(360_000_000 + zlib.crc32(name.encode()) % 10_000_000)
-
-
-def _sum16(data: bytes) -> bytes:
-    return (sum(data) % 65536).to_bytes(2, "little")
-
-
-def _sum8(data: bytes) -> int:
-    total = sum(data)
-    while total > 255:
-        total = total // 256 + total % 256
-    return total
-
-
-def _framed(kind: int, words: int, number: int, body: bytes) -> bytes:
-    head = bytes([kind, words, number]) + _sum16(body)
-    return bytes([_sum8(head)]) + head + body
-
-
-class Stream:
-    """A configured stream: what is sampled, and what of it was sent since it was started."""
-
-    def __init__(self, command: bytes) -> None:
-        self.inputs = [(command[place], command[place + 1]) for place in range(14, len(command) - 1, 2)]
-        self.per_packet = command[8]
-        clock_hz = (48e6 if command[11] & 8 else 4e6) / (256 if command[11] & 2 else 1)
-        self.rate_hz = clock_hz / max(1, int.from_bytes(command[12:14], "little"))
-        self.restart()
-
-    def restart(self) -> None:
-        """Nothing was sent yet."""
-        self.packets = 0
-        self.sent = 0
-        self.dropped = 0
-        # Samples from before an overflow that are still to be sent, 0 when there was none.
-        self.kept = 0
-        self.report = 0
-
-    def scans_needed(self, packets: int = 1) -> int:
-        """Scans, those dropped included, that have been taken when so many more packets can be sent."""
-        return -(-(self.sent + packets * self.per_packet) // len(self.inputs)) + self.dropped
-
-    def overflow(self, capacity: int) -> None:
-        """Keep whole packets of whole scans, as many as fit."""
-        step = math.lcm(self.per_packet, len(self.inputs))
-        self.kept = (self.sent + capacity) // step * step - self.sent
-
-    def resume(self, taken: int) -> None:
-        """All that was kept is sent; what was taken since is dropped, and reported with the next packet."""
-        self.report = max(0, taken - self.sent // len(self.inputs) - self.dropped)
-        self.dropped += self.report
 
 
 class U6Device:
@@ -161,7 +111,7 @@ class U6Device:
         self._held: list[FaultSettings] = []
         if self._left_running:
             self._left_running = False
-            left = _framed(0xF8, 5, 0x11, bytes([1, 0, 25, 0, 0, 8, 0x80, 0xBB, 0, 0]))
+            left = framed(0xF8, 5, 0x11, bytes([1, 0, 25, 0, 0, 8, 0x80, 0xBB, 0, 0]))
             self._stream = Stream(left)
             self._start()
 
@@ -176,7 +126,7 @@ class U6Device:
         elif data[:2] == b"\xb0\xb0":
             self._replies.append(self._short(0xB1, 0 if self._running else 52))
             self._running = False
-        elif len(data) >= 6 and data == _framed(0xF8, (len(data) - 6) // 2, data[3], data[6:]):
+        elif len(data) >= 6 and data == framed(0xF8, (len(data) - 6) // 2, data[3], data[6:]):
             self._replies.append(self._extended(data))
         else:
             self._replies.append(b"\xb8\xb8")  # bad checksum
@@ -184,19 +134,19 @@ class U6Device:
 
     def _short(self, kind: int, error: int) -> bytes:
         body = bytes([kind, error, 0])
-        return bytes([_sum8(body)]) + body
+        return bytes([sum8(body)]) + body
 
     def _extended(self, data: bytes) -> bytes:
         number = data[3]
         if number == 0x08:
             said = struct.pack("<BBBBBBBBBI", 0, 0, 0, 45, 1, 15, 6, 0, 2, self._serial)
             body = said + bytes([6, 0, 1]) + bytes(15) + bytes([12 if self._settings.pro else 4])
-            return _framed(0xF8, 0x10, number, body)
+            return framed(0xF8, 0x10, number, body)
         if number == 0x2D and len(data) == 8:
-            return _framed(0xF8, 0x11, number, bytes(2) + self._memory(data[7]))
+            return framed(0xF8, 0x11, number, bytes(2) + self._memory(data[7]))
         if number == 0x11:
-            return _framed(0xF8, 1, number, bytes([self._configure(data), 0]))
-        return _framed(0xF8, 1, number, b"\x05\x00")  # unknown command
+            return framed(0xF8, 1, number, bytes([self._configure(data), 0]))
+        return framed(0xF8, 1, number, b"\x05\x00")  # unknown command
 
     def _memory(self, block: int) -> bytes:
         if self._settings.blank_calibration or block > 3:
@@ -302,7 +252,7 @@ class U6Device:
             stream.kept -= stream.per_packet
             if not stream.kept:
                 stream.resume(self._taken())
-        return _framed(0xF9, 4 + stream.per_packet, 0xC0, body)
+        return framed(0xF9, 4 + stream.per_packet, 0xC0, body)
 
     def _codes(self, stream: Stream, scans: NDArray[np.int64]) -> NDArray[np.int64]:
         """Codes (scans, inputs) as sampled."""
