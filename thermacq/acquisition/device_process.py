@@ -27,7 +27,6 @@ from thermacq.acquisition.shared import SharedBlock
 from thermacq.acquisition.station import Station
 from thermacq.acquisition.streams import ProbeLoop, TriggerLoop
 from thermacq.devices import (
-    Adopting,
     Camera,
     Device,
     DeviceContext,
@@ -39,6 +38,7 @@ from thermacq.devices import (
 from thermacq.errors import DeviceFault
 from thermacq.hooks import Emulation
 from thermacq.plugins import plugins
+from thermacq.rig.reconnect import check_policy
 from thermacq.rig.rehearsal import transports_for
 from thermacq.store import Event, EventKind
 from thermacq.timing import make_clock
@@ -156,13 +156,7 @@ def _make(spec: DeviceSpec, station: Station, attached: ExitStack) -> Device:
     device = driver.make(context)
     if not isinstance(device, _PROTOCOLS[spec.kind]):
         raise DeviceFault(spec.name, "open", f"driver '{spec.driver}' makes no {spec.kind.value}")
-    if spec.reconnect.policy == "device_wins" and not isinstance(device, Adopting):
-        raise DeviceFault(
-            spec.name,
-            "open",
-            f"driver '{spec.driver}' cannot ask the device for its settings, as policy 'device_wins' needs",
-            remedy="Choose 'host_wins' or 'fail' in [reconnect], or in this device's own table.",
-        )
+    check_policy(device, spec.name, spec.driver, spec.reconnect)
     return device
 
 

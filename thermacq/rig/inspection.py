@@ -32,6 +32,7 @@ from thermacq.hooks import Evidence
 from thermacq.plugins import plugins
 from thermacq.rig.load import DeviceTable, devices_of
 from thermacq.rig.model import Rig
+from thermacq.rig.reconnect import check_policy
 from thermacq.rig.rehearsal import transports_for
 from thermacq.timing.clock import ClockSettings, make_clock
 
@@ -139,7 +140,7 @@ class _Session:
         self._pipe, theirs = context.Pipe()
         self._process: BaseProcess = context.Process(
             target=_open_and_report,
-            args=(theirs, self._empty, rig, folder, table.serial, emulation),
+            args=(theirs, self._empty, rig, folder, table, emulation),
             name=f"check-{name}",
             daemon=True,
         )
@@ -181,7 +182,12 @@ class _Session:
 
 
 def _open_and_report(
-    pipe: Connection, empty: DeviceReport, rig: Rig, folder: Path, serial: str, emulation: Settings | None
+    pipe: Connection,
+    empty: DeviceReport,
+    rig: Rig,
+    folder: Path,
+    table: DeviceTable,
+    emulation: Settings | None,
 ) -> None:
     """Child process: open and configure, answer, hold the device until the parent lets go, close."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides, and closes the devices
@@ -196,9 +202,10 @@ def _open_and_report(
             transports_for(empty.driver, empty.name, clock, folder, emulation)
         )
         context = DeviceContext(
-            empty.name, clock, rig.scene, folder, transports, serial=serial, settings=empty.requested
+            empty.name, clock, rig.scene, folder, transports, serial=table.serial, settings=empty.requested
         )
         device = driver.make(context)
+        check_policy(device, empty.name, empty.driver, table.reconnect or rig.reconnect)
         pipe.send("open")
         answer["identity"] = device.open()
         pipe.send("configure")
