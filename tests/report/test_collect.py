@@ -28,6 +28,7 @@ def test_everything_from_product_run_and_still_water(measured_wave):
     assert [(event.time_s, event.kind, event.index) for event in data.events] == [(0.5, "late_trigger", 25)]
     assert data.quantisation.working_distance_m == pytest.approx(0.6 / np.cos(np.radians(22.8)))
     assert data.provenance["Run"]["title"] == "A <b>known</b> wave"
+    assert data.provenance["Calibration"]["acceptance"] == "unknown"
     assert "pulses, drift +20.00 ppm" in data.provenance["Probe P1"]["clock"]
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from thermacq.evaluation.run_comparison import RunComparison
     from thermacq.reconstruction import Source
+    from thermacq_calibration import StereoCalibration
 
 
 def json_attribute(dataset: xr.Dataset, name: str, *, default: Any) -> Any:
@@ -86,6 +87,7 @@ def provenance(
         }
         sections["Calibration"] |= {
             "stereo reprojection error": _pixels(source.calibration.rms_px),
+            "acceptance": _acceptance(source.calibration),
             "source": source.calibration.source,
             "made": source.calibration.created,
         }
@@ -93,6 +95,15 @@ def provenance(
         label = probe_label(probe.name)
         sections[label[0].upper() + label[1:]] = _probe(probe)
     return sections
+
+
+def _acceptance(calibration: StereoCalibration) -> str:
+    """The verdict, and the measures that failed."""
+    from thermacq_calibration.geometry.acceptance import Verdict, acceptance, verdict
+
+    rows = acceptance(calibration)
+    failed = ", ".join(row.measure for row in rows if row.verdict is Verdict.FAIL)
+    return f"{verdict(rows)}: {failed}" if failed else str(verdict(rows))
 
 
 def _all_tables(values: object) -> bool:
