@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from thermacq.errors import StoreError
-from thermacq.store import open_run, recover, verify
+from thermacq.store import CameraStream, FrameRow, RunWriter, open_run, recover, verify
 
 
 @pytest.fixture
@@ -94,3 +94,23 @@ def test_a_failing_disk_leaves_no_half_output(run_file, tmp_path, monkeypatch):
         recover(run_file, tmp_path / "clean.h5")
     assert "is untouched" in caught.value.kept
     assert not (tmp_path / "clean.h5").exists()
+
+
+def test_a_restart_is_kept_when_its_first_frame_is_damaged(header, tmp_path):
+    path = tmp_path / "run.h5"
+    camera = CameraStream("left", 2, 3, capabilities={"counter_bits": 16})
+    with RunWriter.create(path, header, [camera]) as writer:
+        for host_ns in range(20):
+            row = FrameRow(host_ns % 10, host_ns % 10, host_ns, flags=4 if host_ns == 10 else 0)
+            writer.append_frame("left", np.zeros((2, 3), np.uint16), row)
+        writer.finish({}, "")
+    with h5py.File(path) as file:
+        place = file["entry/instrument/left/data"].id.get_chunk_info_by_coord((10, 0, 0))
+    content = bytearray(path.read_bytes())
+    content[place.byte_offset + place.size // 2] ^= 0x40
+    path.write_bytes(content)
+    recover(path, tmp_path / "clean.h5")
+    with open_run(tmp_path / "clean.h5") as run:
+        frames = run.frames("left")
+        assert frames.restarts_ns.tolist() == [11]
+        assert np.array_equal(np.diff(frames.sequence_number), np.ones(18))

@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from thermacq.errors import StoreError
-from thermacq.store import CameraStream, Event, EventKind, FrameRow, RunWriter, open_run, verify
+from thermacq.store import (
+    CameraStream,
+    Event,
+    EventKind,
+    FrameRow,
+    ProbeStream,
+    RunWriter,
+    open_run,
+    verify,
+)
 
 
 def texts(report):
@@ -113,3 +122,53 @@ def test_probe_gaps_and_values_that_are_no_numbers_are_findings(create, tmp_path
 def test_no_run_file(tmp_path):
     with pytest.raises(StoreError, match="there is no run file"):
         verify(tmp_path / "none.h5")
+
+
+RESTARTED = 4
+
+
+def rows_with_an_outage(flag=RESTARTED):
+    """Ten frames, an outage, and ten frames with counter and ticks from the beginning."""
+    rows = [FrameRow(n, 1000 + n, 10**9 + n * 10**7, trigger_index=n) for n in range(10)]
+    return rows + [
+        FrameRow(n, 1000 + n, 3 * 10**9 + n * 10**7, trigger_index=200 + n, flags=0 if n else flag)
+        for n in range(10)
+    ]
+
+
+def test_a_restarted_camera_is_no_fault(header, tmp_path):
+    back = Event(3 * 10**9 - 1, "left", EventKind.RECONNECTED, 200, "away 2 s")
+    path = write(tmp_path / "run.h5", header, rows_with_an_outage(), [back])
+    report = verify(path)
+    assert report.findings == []
+    assert [note.what for note in report.notes] == [
+        "trigger index: 190 missing in 1 gaps; the recording explains losses by events"
+    ]
+    with open_run(path) as run:
+        frames = run.frames("left")
+        assert np.array_equal(frames.sequence_number, range(20))
+        assert frames.restarts_ns.tolist() == [3 * 10**9]
+
+
+def test_counters_that_go_back_for_no_reason_are_found(header, tmp_path):
+    found = texts(verify(write(tmp_path / "run.h5", header, rows_with_an_outage(flag=0))))
+    assert "frame counter: stands still or goes back 1 times" in found
+    assert "device times: go back 1 times" in found
+
+
+def test_a_restarted_probe_is_no_fault(header, tmp_path):
+    probe = ProbeStream("wp", ("a",), "V", 1000.0)
+    for told in (True, False):
+        path = tmp_path / f"{told}.h5"
+        with RunWriter.create(path, header, [CameraStream("left", 2, 3)], [probe]) as writer:
+            values, ticks = np.zeros((10, 1)), np.arange(10)
+            writer.append_samples("wp", values, ticks, 0, 10**9, pulse_ticks=[1, 5])
+            if told:
+                writer.append_event(Event(2 * 10**9, "wp", EventKind.RECONNECTED, 10, "away"))
+            writer.append_samples("wp", values, ticks, 10, 2 * 10**9, pulse_ticks=[2, 6])
+            writer.finish({}, "")
+        found = texts(verify(path))
+        assert (found == "") == told
+        if not told:
+            assert "device times: go back" in found
+            assert "trigger pulse times: go back" in found

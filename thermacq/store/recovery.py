@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from thermacq.devices import FrameFlag
 from thermacq.errors import StoreError
 from thermacq.rig import StoreTable
 from thermacq.store.reader import RunFile, open_run
-from thermacq.store.records import FrameRow
+from thermacq.store.records import FrameRow, FrameTable
 from thermacq.store.verification import Progress, damaged_frames
 from thermacq.store.writer import RunWriter
 
@@ -98,14 +100,16 @@ def _copy_frames(run: RunFile, writer: RunWriter, report: RecoveryReport, progre
 
         damaged = damaged_frames(run, camera, advance)
         table = run.frames(camera)
-        for row in np.setdiff1d(np.arange(len(table)), damaged):
+        kept = np.setdiff1d(np.arange(len(table)), damaged)
+        restarted = _restarted_rows(table, kept)
+        for row in kept:
             stored = FrameRow(
                 counter=int(table.counter[row]),
                 ticks=int(table.ticks[row]),
                 host_ns=int(table.host_ns[row]),
                 trigger_index=int(table.trigger_index[row]),
                 trigger_ns=int(table.trigger_ns[row]),
-                flags=int(table.flags[row]),
+                flags=int(table.flags[row]) | (int(FrameFlag.RESTARTED) if row in restarted else 0),
                 fpa_temperature_k=float(table.fpa_temperature_k[row]),
             )
             writer.append_encoded(camera, run.encoded(camera, int(row)), stored, int(table.crc32[row]))
@@ -115,6 +119,13 @@ def _copy_frames(run: RunFile, writer: RunWriter, report: RecoveryReport, progre
         report.uncommitted[camera] = run.uncommitted_frames(camera)
         report.damaged[camera] = damaged
         done += len(table)
+
+
+def _restarted_rows(table: FrameTable, kept: NDArray[np.intp]) -> set[int]:
+    """First row that is kept after each restart of the camera, should the very first one be damaged."""
+    restarts = np.flatnonzero(table.flags & FrameFlag.RESTARTED)
+    places = np.searchsorted(kept, restarts)
+    return set(kept[places[places < kept.size]].tolist())
 
 
 def _copy_samples(run: RunFile, writer: RunWriter, probe: str) -> int:
