@@ -27,6 +27,8 @@ _FEWEST_PULSES = 3
 _FIRST_STRETCH = 256
 _LARGEST_DELAY_NS = 100_000_000
 _LISTED = 20
+# A lost pulse misfits twice when frames are laid on the wrong pulses; one or a chance must not decide.
+_CLEARLY_BETTER = 3
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,11 @@ class _Grid:
 
 
 def follow_line(
-    pulse_ns: Times, period_ns: float, resolution_ns: float, cameras: Mapping[str, CameraEvidence]
+    pulse_ns: Times,
+    period_ns: float,
+    resolution_ns: float,
+    cameras: Mapping[str, CameraEvidence],
+    sampling_since_ns: int | None = None,
 ) -> TriggerLine | None:
     """Find the pulse of every frame, and what was lost.
 
@@ -155,6 +161,9 @@ def follow_line(
         the grid, which is finer.
     cameras
         Frames by camera.
+    sampling_since_ns
+        When the probe began to sample: the first pulse that it stamped was the first of all if that was well
+        before.
 
     Returns
     -------
@@ -166,11 +175,12 @@ def follow_line(
         return None
     stamps = _on_grid(pulses, period_ns)
     stamped = stamps.numbers[stamps.kept]
-    grids = {
-        name: _laid_over(_on_grid(camera.own_times_ns(), period_ns), stamps, period_ns)
-        for name, camera in cameras.items()
-        if camera.frames.host_ns.size
-    }
+    first_was_seen = sampling_since_ns is not None and pulses[0] - sampling_since_ns > 1.5 * period_ns
+    grids = {}
+    for name, camera in cameras.items():
+        if camera.frames.host_ns.size:
+            grid = _on_grid(camera.own_times_ns(), period_ns)
+            grids[name] = _laid_over(grid, stamps, _exposed(camera, grid), first_was_seen)
     seen = np.unique(np.concatenate([stamped, *(grid.numbers[grid.kept] for grid in grids.values())]))
     away = np.abs(stamps.residual_ns()) > resolution_ns
     times_ns = np.where(away, pulses, np.rint(stamps.at(stamps.numbers))).astype(np.int64)
@@ -187,7 +197,13 @@ def follow_line(
         "lost_pulses": int(lost.size),
         "lost_pulse_indices": lost[:_LISTED].tolist(),
         "not_stamped": int(np.setdiff1d(seen, stamped).size),
-        "cameras": {name: _losses(cameras[name], grid, seen) for name, grid in grids.items()},
+        "cameras": {
+            name: {
+                **_losses(cameras[name], grid, seen),
+                "delay_ns": float(np.median(grid.times_ns - stamps.at(grid.numbers))),
+            }
+            for name, grid in grids.items()
+        },
     }
     return TriggerLine(times_ns[stamps.kept], frames, figures)
 
@@ -205,7 +221,9 @@ def line_of_probes(
         return None
     clock = fit_device_clock(probe.ticks, probe.received_ns, probe.tick_rate_hz, probe.restarts_ns)
     resolution_ns = probe.sample_ticks / probe.tick_rate_hz * NS_PER_S
-    line = follow_line(pulse_times_ns(clock, probe.pulse_ticks), period_ns, resolution_ns, cameras)
+    since_ns = int(clock.times_of(probe.ticks[:1], probe.received_ns[:1])[0])
+    pulses_ns = pulse_times_ns(clock, probe.pulse_ticks)
+    line = follow_line(pulses_ns, period_ns, resolution_ns, cameras, since_ns)
     return replace(line, figures={"probe": probe.name, **line.figures}) if line else None
 
 
@@ -246,22 +264,24 @@ def _alone(since: NDArray[np.float64], numbers: Times, slope: float) -> NDArray[
     return kept
 
 
-def _laid_over(camera: _Grid, stamps: _Grid, period_ns: float) -> _Grid:
+def _laid_over(camera: _Grid, stamps: _Grid, exposed: Times, first_was_seen: bool) -> _Grid:
     """The camera's grid in the numbers of the stamps.
 
-    Of the possible delays that one is taken with which most frames have a stamped pulse; of equals that in
-    which the first frame has the first pulse, for the cameras were armed before it.
+    The first frame has the first pulse if the probe sampled before that, for the cameras were armed before the
+    trigger source; else the delay is taken to be the shortest that is possible. Another offset must explain the
+    gaps clearly better.
     """
-    numbers, stamped = camera.numbers[camera.kept], stamps.numbers[stamps.kept]
-    nearest = round((camera.times_ns[0] - stamps.at(stamped[:1])[0]) / stamps.slope) + stamped[0]
-    reach = int(_LARGEST_DELAY_NS / period_ns) + 1
-    offsets = [int(nearest - camera.numbers[0]) + step for step in range(-reach, reach + 1)]
-
-    def merit(offset: int) -> tuple[int, int, int]:
-        matched = int(np.isin(numbers + offset, stamped).sum())
-        return matched, -abs(int(numbers[0] + offset - stamped[0])), -abs(offset - offsets[reach])
-
-    offset = max(offsets, key=merit)
+    stamped = stamps.numbers[stamps.kept]
+    # In stamps' numbers, frames taken to have no delay.
+    by_time = round((camera.times_ns[0] - stamps.at(stamped[:1])[0]) / stamps.slope) + int(stamped[0])
+    shortest = by_time - int(camera.numbers[0])
+    reach = int(_LARGEST_DELAY_NS / stamps.slope) + 1
+    offsets = range(shortest - reach, shortest + reach + 1)
+    usual = int(stamped[0] - exposed[0]) if first_was_seen else shortest
+    usual = min(max(usual, offsets[0]), offsets[-1])
+    misfits = {offset: _misfits(exposed + offset, stamped) for offset in offsets}
+    best = min(offsets, key=lambda offset: (misfits[offset], abs(offset - usual)))
+    offset = best if misfits[best] + _CLEARLY_BETTER <= misfits[usual] else usual
     return _Grid(
         camera.times_ns,
         camera.numbers + offset,
@@ -269,6 +289,24 @@ def _laid_over(camera: _Grid, stamps: _Grid, period_ns: float) -> _Grid:
         camera.slope,
         camera.intercept - camera.slope * offset,
     )
+
+
+def _misfits(exposed: Times, stamped: Times) -> int:
+    """Exposures without pulse and pulses without exposure, where both devices were there."""
+    first, last = max(exposed[0], stamped[0]), min(exposed[-1], stamped[-1])
+    both = [one[(one >= first) & (one <= last)] for one in (exposed, stamped)]
+    return int(np.setxor1d(*both).size)
+
+
+def _exposed(camera: CameraEvidence, grid: _Grid) -> Times:
+    """Numbers of the exposures of a camera: of its frames, and of those that its counter says it made besides."""
+    numbers = grid.numbers[grid.kept]
+    if camera.sequence is None:
+        return np.unique(numbers)
+    counted = np.diff(camera.sequence[grid.kept])
+    whole = np.flatnonzero((np.diff(numbers) > 1) & (counted == np.diff(numbers)))
+    between = [np.arange(numbers[place] + 1, numbers[place + 1]) for place in whole]
+    return np.unique(np.concatenate([numbers, *between]))
 
 
 def _frames(frames: FrameTimes, grid: _Grid, stamps: _Grid, times_ns: Times, first: int) -> LineFrames:

@@ -93,7 +93,8 @@ def line_rows(line: Mapping[str, Any]) -> list[tuple[str, str]]:
     for name, camera in line["cameras"].items():
         words = (
             f"{camera['frames']} pulses have a frame; frames lost {camera['lost']}, pulses not followed "
-            f"{camera['overlooked']}, frames of no pulse {camera['extra']}"
+            f"{camera['overlooked']}, frames of no pulse {camera['extra']}; "
+            f"received {camera['delay_ns'] / 1e6:.1f} ms later than its pulses"
         )
         rows.append((name, words))
     return rows
