@@ -89,8 +89,7 @@ def test_a_camera_that_was_unplugged_goes_on_in_the_same_file(make_rig, tmp_path
         assert len(left) + missed + lost(result, "left").get("late_trigger", 0) == 100
         assert len(right) + lost(result, "right").get("late_trigger", 0) == 100
         assert lost(result, "right").get("disconnected", 0) == 0
-        assert told(run, "left")[:1] == ["disconnected"]
-        assert "reconnected" in told(run, "left")
+        assert told(run, "left").count("disconnected") == told(run, "left").count("reconnected") == 1
         assert told(run, "right").count("disconnected") == 0
         # Each picture is that of its row: the camera counts from 0 again after its return.
         first = int(np.flatnonzero(left.host_ns == left.restarts_ns[0])[0])
@@ -106,7 +105,7 @@ def test_a_camera_that_was_unplugged_goes_on_in_the_same_file(make_rig, tmp_path
     assert outage["missed"] == missed
     assert outage["came_back"]
     assert outage["changed"] == {}
-    assert any(line.startswith("away         left: from 0.6") for line in sync_lines(result.summary["sync"]))
+    assert any(line.startswith("away         left: from 0.") for line in sync_lines(result.summary["sync"]))
     assert verify(result.path).findings == []
     recover(result.path, tmp_path / "clean.h5")
     assert verify(tmp_path / "clean.h5").findings == []
