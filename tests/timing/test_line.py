@@ -118,6 +118,7 @@ def test_a_probe_that_began_late_leaves_the_shortest_delay():
     figures = line.figures
     assert (figures["not_stamped"], figures["cameras"]["left"]["lost"]) == (20, 5)
     assert figures["cameras"]["left"]["delay_ns"] == pytest.approx(4e6, abs=3e5)
+    assert figures["cameras"]["left"]["placed_by"] == "shortest delay"
 
 
 def test_a_first_frame_that_was_lost_is_seen_by_the_gaps():
@@ -125,6 +126,7 @@ def test_a_first_frame_that_was_lost_is_seen_by_the_gaps():
     emitted = without(400, [50, 200, 201])
     left = camera(pulses, emitted, without(400, [0, 120]), 30_000_000)
     line = follow_line(stamped(pulses, emitted), PERIOD_NS, SCAN_NS, {"left": left}, BEFORE_NS)
+    assert line.figures["cameras"]["left"]["placed_by"] == "gaps"
     np.testing.assert_array_equal(
         line.frames["left"].trigger_index, np.flatnonzero(emitted & without(400, [0, 120]))
     )

@@ -71,7 +71,16 @@ def test_the_line_in_words():
         "lost_pulses": 3,
         "lost_pulse_indices": [4, 5],
         "not_stamped": 2,
-        "cameras": {"left": {"frames": 990, "lost": 5, "overlooked": 4, "extra": 1, "delay_ns": 31.25e6}},
+        "cameras": {
+            "left": {
+                "frames": 990,
+                "lost": 5,
+                "overlooked": 4,
+                "extra": 1,
+                "delay_ns": 31.25e6,
+                "placed_by": "gaps",
+            }
+        },
     }
     assert line_rows(figures) == [
         (
@@ -84,8 +93,8 @@ def test_the_line_in_words():
         (
             "left",
             (
-                "990 pulses have a frame; frames lost 5, pulses not followed 4, frames of no pulse 1; received "
-                "31.2 ms later than its pulses"
+                "990 pulses have a frame; frames lost 5, pulses not followed 4, frames of no pulse 1; "
+                "31.2 ms later than its pulses, placed by gaps"
             ),
         ),
     ]

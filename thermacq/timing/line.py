@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,11 +176,12 @@ def follow_line(
     stamps = _on_grid(pulses, period_ns)
     stamped = stamps.numbers[stamps.kept]
     first_was_seen = sampling_since_ns is not None and pulses[0] - sampling_since_ns > 1.5 * period_ns
-    grids = {}
+    grids, placed_by = {}, {}
     for name, camera in cameras.items():
         if camera.frames.host_ns.size:
             grid = _on_grid(camera.own_times_ns(), period_ns)
-            grids[name] = _laid_over(grid, stamps, _exposed(camera, grid), first_was_seen)
+            exposed = _exposed(camera, grid)
+            grids[name], placed_by[name] = _laid_over(grid, stamps, exposed, first_was_seen)
     seen = np.unique(np.concatenate([stamped, *(grid.numbers[grid.kept] for grid in grids.values())]))
     away = np.abs(stamps.residual_ns()) > resolution_ns
     times_ns = np.where(away, pulses, np.rint(stamps.at(stamps.numbers))).astype(np.int64)
@@ -200,6 +201,7 @@ def follow_line(
         "cameras": {
             name: {
                 **_losses(cameras[name], grid, seen),
+                "placed_by": placed_by[name],
                 "delay_ns": float(np.median(grid.times_ns - stamps.at(grid.numbers))),
             }
             for name, grid in grids.items()
@@ -264,8 +266,10 @@ def _alone(since: NDArray[np.float64], numbers: Times, slope: float) -> NDArray[
     return kept
 
 
-def _laid_over(camera: _Grid, stamps: _Grid, exposed: Times, first_was_seen: bool) -> _Grid:
-    """The camera's grid in the numbers of the stamps.
+def _laid_over(
+    camera: _Grid, stamps: _Grid, exposed: Times, first_was_seen: bool
+) -> tuple[_Grid, Literal["first pulse", "shortest delay", "gaps"]]:
+    """The camera's grid in the numbers of the stamps, and what that rests on.
 
     The first frame has the first pulse if the probe sampled before that, for the cameras were armed before the
     trigger source; else the delay is taken to be the shortest that is possible. Another offset must explain the
@@ -281,14 +285,12 @@ def _laid_over(camera: _Grid, stamps: _Grid, exposed: Times, first_was_seen: boo
     usual = min(max(usual, offsets[0]), offsets[-1])
     misfits = {offset: _misfits(exposed + offset, stamped) for offset in offsets}
     best = min(offsets, key=lambda offset: (misfits[offset], abs(offset - usual)))
-    offset = best if misfits[best] + _CLEARLY_BETTER <= misfits[usual] else usual
-    return _Grid(
-        camera.times_ns,
-        camera.numbers + offset,
-        camera.kept,
-        camera.slope,
-        camera.intercept - camera.slope * offset,
+    by_gaps = misfits[best] + _CLEARLY_BETTER <= misfits[usual]
+    offset = best if by_gaps else usual
+    moved = replace(
+        camera, numbers=camera.numbers + offset, intercept=camera.intercept - camera.slope * offset
     )
+    return moved, "gaps" if by_gaps else "first pulse" if first_was_seen else "shortest delay"
 
 
 def _misfits(exposed: Times, stamped: Times) -> int:

@@ -94,7 +94,7 @@ def line_rows(line: Mapping[str, Any]) -> list[tuple[str, str]]:
         words = (
             f"{camera['frames']} pulses have a frame; frames lost {camera['lost']}, pulses not followed "
             f"{camera['overlooked']}, frames of no pulse {camera['extra']}; "
-            f"received {camera['delay_ns'] / 1e6:.1f} ms later than its pulses"
+            f"{camera['delay_ns'] / 1e6:.1f} ms later than its pulses, placed by {camera['placed_by']}"
         )
         rows.append((name, words))
     return rows
