@@ -146,10 +146,12 @@ def bootstrap(
         quantities.append(values)
         depths.append(depth)
         crests.append(crest)
-    standard = {key: float(np.std([one[key] for one in quantities], ddof=1)) for key in quantities[0]}
-    spread = np.std(depths, axis=0, ddof=1)
+    # The variance of drawing from n poses is that of n poses times (n - 1) / n.
+    scale = float(np.sqrt(names.size / (names.size - 1)))
+    standard = {key: scale * float(np.std([one[key] for one in quantities], ddof=1)) for key in quantities[0]}
+    spread = scale * np.std(depths, axis=0, ddof=1)
     standard["depth_point_m"] = _rms(spread[scene.seen])
-    standard["elevation_m"] = _rms(np.std(crests, axis=0, ddof=1)[scene.seen])
+    standard["elevation_m"] = scale * _rms(np.std(crests, axis=0, ddof=1)[scene.seen])
     cells = [float(f"{value:.3g}") if seen else None for value, seen in zip(spread, scene.seen, strict=True)]
     columns, rows = GRID
     return {

@@ -23,7 +23,7 @@ def solve(pair, views):
     return refit(first_solution(corners, SIZE), corners, MODEL), corners
 
 
-def z_scores(pair, seed: int, replicates: int = 30) -> dict[str, float]:
+def z_scores(pair, seed: int, replicates: int = 20) -> dict[str, float]:
     """Error over stated standard uncertainty of one simulated calibration, the distortion model chosen anew."""
     made = calibrate_stereo(pair.views(40, 0.1, seed=seed), pair.board, SIZE, replicates=replicates)
     truth = Geometry.of(pair.truth)
@@ -33,6 +33,7 @@ def z_scores(pair, seed: int, replicates: int = 30) -> dict[str, float]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_errors_are_as_large_as_stated(pair):
     """20 calibrations from 40 diverse views each: errors in units of their sigma look like a normal."""
     from scipy import stats
