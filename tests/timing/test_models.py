@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from thermacq.timing import ClockModel, fit_clock, fit_clock_to_pulses
@@ -36,6 +36,7 @@ def test_receipt_times_give_offset_and_drift_within_the_stated_residual(
 
 @settings(deadline=None)
 @given(OFFSETS, DRIFTS, SEEDS)
+@example(offset_ns=0, drift_ppm=0.02734375, seed=0)  # most ticks exact, the others a whole tick off
 def test_pulses_give_the_clock_to_their_jitter_in_spite_of_losses(
     offset_ns: int, drift_ppm: float, seed: int
 ) -> None:

@@ -155,8 +155,8 @@ def fit_clock_to_pulses(
     slope, intercept, sigma = _median_line(x, y)
     for _ in range(_ROBUST_ROUNDS):
         residual = y - slope * x - intercept
-        # One nanosecond is the resolution of host time; a perfect fit must not reject everything.
-        bound = _INLIER_SIGMAS * max(sigma, 1.0)
+        # Ticks are whole: an error of half a tick is none, nor is one of a nanosecond, however small sigma is.
+        bound = _INLIER_SIGMAS * max(sigma, 1.0, NS_PER_S / receipt_model.tick_rate_hz / np.sqrt(12))
         now = np.abs(residual) <= bound
         if now.sum() < 3:
             break
