@@ -8,6 +8,9 @@ from thermacq.devices import Camera, DeviceContext, DeviceIdentity, DeviceKind
 from thermacq.hooks import Driver, Evidence
 from thermacq.transports import Transports
 
+IDS = ((0x0BDA, 0x5830),)
+"""(vid, pid) on USB."""
+
 
 def _make(context: DeviceContext) -> Camera:
     from thermacq_drivers.p2pro.camera import P2ProCamera
@@ -35,4 +38,5 @@ DRIVER = Driver(
     make=_make,
     settings=_settings,
     discover=_discover,
+    usb_ids=IDS,
 )

@@ -29,9 +29,9 @@ from thermacq.devices import (
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout, IncompleteFrame
 from thermacq.settings import check_settings
 from thermacq.transports import Transports, VideoNode
-from thermacq_drivers.p2pro import codec
+from thermacq_drivers.p2pro import IDS, codec
 from thermacq_drivers.p2pro.codec import Info, Parameter
-from thermacq_drivers.p2pro.control import IDS, P2ProControl
+from thermacq_drivers.p2pro.control import P2ProControl
 from thermacq_drivers.transports.video import VideoStream, find_video
 
 _WAIT_S = 0.05

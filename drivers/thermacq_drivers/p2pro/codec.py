@@ -15,7 +15,6 @@ from thermacq.devices import Counts
 
 ROWS, COLUMNS, RATE_HZ = 192, 256, 25.0
 VIDEO_ROWS, FOURCC = 2 * ROWS, "YUYV"
-COUNTS_PER_K = 64.0
 
 # (bmRequestType, bRequest) and the value that every request has.
 WRITE, READ, VALUE = (0x41, 0x45), (0xC1, 0x44), 0x0078

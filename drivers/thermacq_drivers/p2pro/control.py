@@ -10,11 +10,10 @@ from typing import Any
 
 from thermacq.errors import DeviceFault, DeviceTimeout
 from thermacq.transports import Transports, VideoNode
-from thermacq_drivers.p2pro import codec
+from thermacq_drivers.p2pro import IDS, codec
 from thermacq_drivers.p2pro.codec import Info, Parameter
 from thermacq_drivers.transports.usb import UsbPort, find_devices, serial_of
 
-IDS = ((0x0BDA, 0x5830),)
 _READY_S = 5.0
 _POLL_S = 0.001
 

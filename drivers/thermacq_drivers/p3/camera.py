@@ -33,11 +33,10 @@ from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout, Inco
 from thermacq.settings import check_settings
 from thermacq.timing import NS_PER_S
 from thermacq.transports import Transports
-from thermacq_drivers.p3 import codec
+from thermacq_drivers.p3 import IDS, codec
 from thermacq_drivers.p3.codec import FrameFinder, Model, RawFrame
 from thermacq_drivers.transports.usb import UsbPort, UsbStalled, find_devices, serial_of
 
-IDS = tuple((codec.VID, pid) for pid in codec.MODELS)
 _INTERFACES = (0, 1)
 _READY_S = 1.0
 _POLL_S = 0.005

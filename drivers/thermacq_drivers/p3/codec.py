@@ -4,8 +4,8 @@ Facts from jvdillon/p3-ir-camera (the newer revision; its older snapshot has a w
 
 A frame is a start marker, the pixels and an end marker. The markers are laid out like the payload headers of
 USB video: bit 0 of the second byte toggles from frame to frame, bit 1 is the end of a frame, and the last
-counter counts milliseconds of the bus modulo 2048. The counts of milliseconds are therefore rounded to
-frames, so that neither a step of exactly 40 nor one that jitters by a millisecond is taken for a loss.
+counter, 40 a frame modulo 2048, would be the milliseconds of the bus (UNCERTAIN). Its steps are therefore
+rounded to frames, so that neither 40 exactly nor a jitter by a millisecond is taken for a loss.
 """
 
 from __future__ import annotations
@@ -20,13 +20,11 @@ import numpy as np
 
 from thermacq.devices import Counts
 
-VID = 0x3474
 WRITE, READ, START = (0x41, 0x20), (0xC1, 0x21), (0x40, 0xEE)
 STATUS = (0xC1, 0x22)
 STREAM_ENDPOINT = 0x81
 RATE_HZ = 25.0
 MARKER_BYTES = 12
-COUNTS_PER_K = 64.0
 
 _MARKER = struct.Struct("<BBIIH")
 _START_OF_FRAME = re.compile(rb"\x0c[\x8c\x8d]")
@@ -166,6 +164,9 @@ class FrameFinder:
         start = parse_marker(bytes(self._bytes[:MARKER_BYTES]))
         end = parse_marker(bytes(self._bytes[size : size + MARKER_BYTES]))
         if start is None or end is None or end.sync != start.sync | 2 or end.cnt1 != start.cnt1:
+            return None
+        # The bytes of the next frame can complete an end marker that was cut, but not its time.
+        if abs((end.cnt3 - start.cnt3 - _PERIOD + _TURN // 2) % _TURN - _TURN // 2) > _JITTER:
             return None
         return RawFrame(start, end, bytes(self._bytes[MARKER_BYTES:size]), self._skipped)
 

@@ -8,6 +8,9 @@ from thermacq.devices import Camera, DeviceContext, DeviceIdentity, DeviceKind
 from thermacq.hooks import Driver, Evidence
 from thermacq.transports import Transports
 
+IDS = ((0x0403, 0x6010),)
+"""(vid, pid) on USB."""
+
 
 def _make(context: DeviceContext) -> Camera:
     from thermacq_drivers.tau2.camera import Tau2Camera
@@ -35,4 +38,5 @@ DRIVER = Driver(
     make=_make,
     settings=_settings,
     discover=_discover,
+    usb_ids=IDS,
 )

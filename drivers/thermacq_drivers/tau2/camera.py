@@ -35,7 +35,7 @@ from thermacq.errors import DeviceFault, DeviceTimeout, IncompleteFrame
 from thermacq.settings import check_settings
 from thermacq.timing.clock import NS_PER_S
 from thermacq.transports import Transports
-from thermacq_drivers.tau2 import packets, teax
+from thermacq_drivers.tau2 import IDS, packets, teax
 from thermacq_drivers.tau2.link import Shot, TauLink
 from thermacq_drivers.tau2.packets import FFC_MODES, FFC_RUNNING, Answer, Function, Sensor
 from thermacq_drivers.transports.usb import UsbPort, find_devices, serial_of
@@ -111,7 +111,7 @@ class Tau2Camera:
         """Find the grabber, ask the camera behind it who it is, and look at one picture."""
         self.close()
         self._settings = check_settings(Tau2Settings, self._given, self._name)
-        port = UsbPort(self._name, self._transports, teax.IDS, self._serial)
+        port = UsbPort(self._name, self._transports, IDS, self._serial)
         link = TauLink(self._name, port, self._clock)
         try:
             link.begin("open")
@@ -317,5 +317,5 @@ def discover(transports: Transports) -> list[DeviceIdentity]:
     """USB devices with an FT2232H, none opened: whether a Tau 2 is behind one is seen when it is opened."""
     return [
         DeviceIdentity("tau2", "FT2232H, perhaps a TeAx grabber", serial_of(device))
-        for device in find_devices(transports, teax.IDS)
+        for device in find_devices(transports, IDS)
     ]

@@ -54,9 +54,9 @@ STATUS_WORDS = {
 }
 
 
-def packet(function: int, data: bytes = b"", status: int = 0) -> bytes:
-    """Bytes of a packet to the camera, or of an answer."""
-    head = struct.pack(">4BH", _MARK, status, 0, function, len(data))
+def packet(function: int, data: bytes = b"") -> bytes:
+    """Bytes of a packet to the camera; an answer that is well looks the same."""
+    head = struct.pack(">4BH", _MARK, 0, 0, function, len(data))
     crcs = binascii.crc_hqx(head, 0), binascii.crc_hqx(data, 0)
     return head + struct.pack(">H", crcs[0]) + data + struct.pack(">H", crcs[1])
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from thermacq.devices import Counts
 
-IDS = ((0x0403, 0x6010),)
 STREAM_IN, STREAM_OUT = 0x81, 0x02
 PACKET_BYTES = 512
 STATUS_BYTES = 2

@@ -1,27 +1,30 @@
-"""A whole session of the driver ``p3``, run in a test and in its child process."""
+"""A whole session of a driver of a pyusb camera, run in a test and in its child process."""
 
 from __future__ import annotations
 
 import json
 import zlib
+from typing import Any
 
 from thermacq.devices import DeviceContext, TriggerMode
 from thermacq.errors import IncompleteFrame
+from thermacq.plugins import plugins
 from thermacq.testing.streams import FrameSink
 from thermacq.timing.clock import RealClock
 from thermacq.transports import Transports
-from thermacq_drivers.p3.camera import P3Camera, discover
-
-SETTINGS = {"settle_s": 0.0, "stream_settle_s": 0.0, "gain": "high", "shutter_at_arm": True}
 
 
-def driver_session(transports: Transports, frames: int) -> str:
+def camera_session(
+    driver_name: str, settings: dict[str, Any], rate_hz: float, frames: int, transports: Transports
+) -> str:
     """Discover, open, configure, arm, so many frames, disarm, close; all that came, as JSON."""
-    found = [(one.model, one.serial) for one in discover(transports)]
-    camera = P3Camera(DeviceContext("left", RealClock(), transports=transports, serial="EMU-left"))
+    driver = plugins().driver(driver_name)
+    found = [(one.model, one.serial) for one in driver.discover(transports)]
+    context = DeviceContext("left", RealClock(), transports=transports, serial="EMU-left", settings=settings)
+    camera: Any = driver.make(context)
     identity = camera.open()
-    camera.configure(SETTINGS)
-    camera.arm(TriggerMode.FREE_RUN, 25.0)
+    camera.configure(settings)
+    camera.arm(TriggerMode.FREE_RUN, rate_hz)
     sink = FrameSink(camera.capabilities.rows, camera.capabilities.columns)
     stream, came, damaged = camera.frames(sink), [], 0
     while len(came) < frames:
@@ -31,7 +34,7 @@ def driver_session(transports: Transports, frames: int) -> str:
             damaged += 1
             stream = camera.frames(sink)
             continue
-        came.append((frame.counter, int(frame.flags), zlib.crc32(frame.counts.tobytes())))
+        came.append((frame.counter, str(frame.fpa_temperature_k), zlib.crc32(frame.counts.tobytes())))
         sink.advance()
     camera.disarm()
     camera.close()
