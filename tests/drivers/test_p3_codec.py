@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from thermacq_drivers.p3 import codec
@@ -92,6 +92,7 @@ damage = st.sampled_from(["cut", "lost", "start", "end", "garbage before", "none
 
 
 @given(st.lists(damage, min_size=1, max_size=10), st.binary(min_size=1, max_size=150), st.integers(1, 60))
+@example(["cut"], b"\0", 3)  # the next frame begins with the bytes that are missing
 def test_every_damaged_frame_is_missing_in_the_count_and_no_other(damages, garbage, cut):
     # Neither a marker nor, by chance, the end of a frame that was cut before it.
     garbage = b"\xff" + garbage.replace(b"\x0c", b"\x0b")
