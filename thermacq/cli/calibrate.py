@@ -203,6 +203,7 @@ def _with_run(calibration: StereoCalibration, sources: list[Path], pair: str | N
     with open_run(sources[0]) as run:
         return replace(
             calibration,
+            source=f"{calibration.source} (simulated)" if run.header.simulated else calibration.source,
             serials=serials_of(sources, pair),
             temperatures_k=temperatures_k(run, pair),
             counts_per_kelvin=counts_per_kelvin(run, pair),
