@@ -154,7 +154,7 @@ def test_free_run_is_paired_by_device_time_and_its_gaps_are_counted(make_rig, tm
 @pytest.mark.slow
 def test_when_a_camera_dies_the_other_goes_on_and_all_is_kept(make_rig, tmp_path: Path) -> None:
     rig = make_rig({"fail_at_frame": 10}, reconnect={"policy": "fail"})
-    result = record(rig, tmp_path / "run.h5", frames=40)
+    result = record(rig, tmp_path / "run.h5", frames=100)
     assert result.end_reason == EndReason.CAMERA_LOST
     assert not result.asked_for
     assert "the camera is gone" in result.message
