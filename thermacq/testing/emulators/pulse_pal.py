@@ -9,6 +9,7 @@ hosts send (channel from 1, then state); only its acknowledgement is emulated.
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -40,6 +41,9 @@ _HIGH_V = 2.0
 _MARK = 213
 _CHANNELS = 4
 _LARGEST_LEAD = 64
+# How long a command waits, in virtual time, for followers that hold pulses back.
+_FOLLOWERS_PATIENCE_S = 2.0
+_FOLLOWERS_POLL_S = 0.001
 _SETTINGS_BYTES = 178
 # Bytes after mark and command; commands whose length follows from their content are handled apart.
 _LENGTHS = {72: 0, 73: _SETTINGS_BYTES, 77: 1, 79: 3, 80: 0, 81: 0, 82: 2, 85: 0, 86: 2, 87: 1, 89: 6}
@@ -125,8 +129,12 @@ class PulsePalBox:
         self.outputs = [Output() for _ in range(_CHANNELS)]
 
     def receive(self, data: bytes) -> Sequence[bytes]:
-        """Carry out what has arrived in full."""
+        """Carry out what has arrived in full; pulses that were due before are emitted first."""
+        deadline_s = time.monotonic() + _FOLLOWERS_PATIENCE_S
         self._emit_due()
+        while self._holds_pulses_back() and time.monotonic() < deadline_s:
+            time.sleep(_FOLLOWERS_POLL_S)
+            self._emit_due()
         self._buffer += data
         answers: list[bytes] = []
         while True:
@@ -244,6 +252,11 @@ class PulsePalBox:
                 line = self._lines[channel]
                 if line is not None and output.seen():
                     self._emit(channel, line, due_ns)
+
+    def _holds_pulses_back(self) -> bool:
+        """Whether pulses that are due wait for slow followers, in virtual time."""
+        due_ns = self.due_ns()
+        return self._host.is_virtual and due_ns is not None and due_ns <= self._host.now_ns()
 
     def _is_far_ahead(self, channel: int) -> bool:
         """In virtual time the box waits when its slowest follower is many pulses behind."""
