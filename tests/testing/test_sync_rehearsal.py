@@ -21,7 +21,7 @@ from thermacq.rig import load_rig
 from thermacq.rig.rehearsal import emulated_devices
 from thermacq.store import open_run, trigger_line
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "rehearsal.toml"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "rigs" / "rehearsal.toml"
 SECONDS, RATE_HZ = 10.0, 50
 PULSES = int(SECONDS * RATE_HZ)
 LOST_PULSES = (100, 101, 350)
