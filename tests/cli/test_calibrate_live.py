@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 
+import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -44,13 +45,20 @@ def test_an_existing_record_is_refused_before_anything_is_recorded(tmp_path):
     assert not run.exists()
 
 
-def test_a_board_that_looks_the_same_after_half_a_turn_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("board", "words"),
+    [
+        ("columns = 8\nrows = 6", "looks the same after half a turn"),
+        ("square_m = 0.6", "the side of a square is wanted in metres"),
+    ],
+)
+def test_an_impossible_board_is_refused_before_anything_is_recorded(tmp_path, board, words):
     rig = tmp_path / "rig.toml"
     rig.write_text(
         '[clock]\nkind = "virtual"\n[cameras.left]\ndriver = "sim-camera"\n[cameras.right]\n'
-        'driver = "sim-camera"\n[board]\ncolumns = 8\nrows = 6\n'
+        f'driver = "sim-camera"\n[board]\n{board}\n'
     )
     arguments = ["calibrate", str(rig), "-o", str(tmp_path / "c.json"), "--record", str(tmp_path / "r.h5")]
     done = CliRunner().invoke(app, arguments)
-    assert "looks the same after half a turn" in str(done.exception)
+    assert words in str(done.exception)
     assert not (tmp_path / "r.h5").exists()

@@ -51,11 +51,13 @@ def live(
     from thermacq.reconstruction.views import board_of
     from thermacq.rig import load_rig
     from thermacq_calibration import check_board
+    from thermacq_calibration.geometry.judgement import refuse_impossible_square
 
     refuse_existing(output)
     resolved = load_rig(rig, scene)
     board = board_of(resolved)
     check_board(board)
+    refuse_impossible_square(board)
     growing = GrowingViews(record, board, pair)
     session = start(resolved, record)
     try:
