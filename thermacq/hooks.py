@@ -70,7 +70,8 @@ class Driver:
         Settings that make a simulated or emulated device act out a fault some frames (or blocks) after
         arming, e.g. ``{DeviceDisconnected: {"fail_at_frame": 5}}``; the conformance suite uses them.
     usb_ids
-        (vid, pid) of the USB devices that it opens; ``thermacq doctor`` looks at their permissions.
+        (vid, pid) of the USB devices that it knows; ``thermacq doctor`` looks at their permissions and at the
+        bus that cameras share.
     """
 
     name: str

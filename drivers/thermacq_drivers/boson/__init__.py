@@ -23,6 +23,9 @@ from thermacq.transports import Transports
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+IDS = ((0x09CB, 0x4007),)
+"""(vid, pid) on USB."""
+
 
 def _make(context: DeviceContext) -> Device:
     from thermacq_drivers.boson.camera import BosonCamera
@@ -50,4 +53,5 @@ DRIVER = Driver(
     make=_make,
     settings=_settings,
     discover=_discover,
+    usb_ids=IDS,
 )

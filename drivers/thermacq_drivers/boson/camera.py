@@ -22,6 +22,7 @@ from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
 from thermacq.settings import check_settings
 from thermacq.timing.clock import NS_PER_S
 from thermacq.transports import Transports, VideoNode
+from thermacq_drivers.boson import IDS
 from thermacq_drivers.boson.acquisition import Acquisition, Picture, parse_temperature
 from thermacq_drivers.boson.control import BosonControl, CommandRefused
 from thermacq_drivers.boson.fslp import NOT_ENABLED, UNKNOWN_COMMAND, Function
@@ -44,7 +45,6 @@ from thermacq_drivers.transports.video import (
     identity_of,
 )
 
-IDS = (0x09CB, 0x4007)
 _BAUD = 921_600
 # (columns, rows) of the sensors, largest first.
 _SIZES = ((640, 512), (320, 256))
@@ -100,7 +100,7 @@ class BosonCamera:
     def open(self) -> DeviceIdentity:
         """Find the camera's video node and its serial port, by the serial number of both; ask who it is."""
         self.close()
-        nodes = [node for node in self._transports.video_nodes() if (node.vid, node.pid) == IDS]
+        nodes = [node for node in self._transports.video_nodes() if (node.vid, node.pid) in IDS]
         node = find_video(nodes, self._name, serial=self._serial)
         port = SerialPort(self._name, self._port_of(node), _BAUD)
         control = BosonControl(self._name, port)
@@ -120,7 +120,7 @@ class BosonCamera:
     def _port_of(self, node: VideoNode) -> str:
         """Path of the serial port of the same USB device."""
         ports = self._transports.serial_ports()
-        ours = [port for port in ports if (port.vid, port.pid) == IDS and port.serial == node.serial]
+        ours = [port for port in ports if (port.vid, port.pid) in IDS and port.serial == node.serial]
         if not ours:
             raise DeviceDisconnected(
                 self._name,
@@ -378,5 +378,5 @@ def discover(transports: Transports) -> list[DeviceIdentity]:
     return [
         DeviceIdentity("boson", node.product or "FLIR Boson", identity_of(node))
         for node in transports.video_nodes()
-        if (node.vid, node.pid) == IDS
+        if (node.vid, node.pid) in IDS
     ]

@@ -17,6 +17,9 @@ from thermacq.transports import Transports
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+LEPTON_IDS = (0x1E4E, 0x0100)
+"""(vid, pid) of a Lepton on a PureThermal board."""
+
 
 def _make(context: DeviceContext) -> Device:
     from thermacq_drivers.uvc.camera import UvcCamera
@@ -44,4 +47,6 @@ DRIVER = Driver(
     make=_make,
     settings=_settings,
     discover=_discover,
+    # Other cameras have any ids; they are reached through their video node.
+    usb_ids=(LEPTON_IDS,),
 )

@@ -32,9 +32,9 @@ from thermacq_drivers.transports.video import (
     find_video,
     identity_of,
 )
+from thermacq_drivers.uvc import LEPTON_IDS
 from thermacq_drivers.uvc.lepton import EXTRA_ROWS, LeptonTelemetry, WordOrder, read_row, word_order
 
-_LEPTON_IDS = (0x1E4E, 0x0100)
 _LEPTON_ROWS = (60 + EXTRA_ROWS, 120 + EXTRA_ROWS)
 _WAIT_S = 0.05
 _FIRST_PICTURE_S = 5.0
@@ -147,7 +147,7 @@ class UvcCamera:
     def _find_telemetry(
         self, wanted: UvcSettings, stream: VideoStream, granted: VideoFormat
     ) -> WordOrder | None:
-        is_lepton = (self._node.vid, self._node.pid) == _LEPTON_IDS
+        is_lepton = (self._node.vid, self._node.pid) == LEPTON_IDS
         possible = granted.rows in _LEPTON_ROWS and granted.fourcc == "Y16 "
         if wanted.telemetry == "none" or (wanted.telemetry == "auto" and not (is_lepton and possible)):
             return None
