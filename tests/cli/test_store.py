@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from thermacq.cli import main
+from thermacq.cli.store import _sync_report
 from thermacq.store import CameraStream, FrameRow, ProbeStream, RunHeader, RunWriter, open_run, verify
 
 
@@ -118,3 +119,13 @@ def test_bad_files_are_explained(thermacq, tmp_path, command):
         assert out == ""
         assert "error:" in err
         assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("summary", [None, {}, {"sync": None}, {"sync": {"trigger_mode": 3}}, {"sync": "x"}])
+def test_a_summary_without_a_proper_sync_report_is_no_obstacle(summary):
+    assert _sync_report(summary) == []
+
+
+def test_the_sync_report_is_shown_again():
+    sync = {"trigger_mode": "hardware", "clock": "real", "note": "", "devices": {}, "clocks": {}}
+    assert _sync_report({"sync": sync}) == ["trigger      hardware, real clock"]

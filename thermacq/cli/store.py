@@ -56,6 +56,18 @@ def info(run: Run, as_json: AsJson = False) -> None:
     out.print(f"calibration: {'stored' if facts['calibration'] else 'none'}", markup=False)
     corrections = ", ".join(f"{name} {sha256[:12]}" for name, sha256 in facts["corrections"].items())
     out.print(f"corrections: {corrections or 'none'}", markup=False)
+    for line in _sync_report(facts["summary"]):
+        out.print(line, markup=False)
+
+
+def _sync_report(summary: dict[str, Any] | None) -> list[str]:
+    """The synchronisation report in words; none where the run has none, or one of another version."""
+    from thermacq.cli.recording import sync_lines
+
+    try:
+        return sync_lines((summary or {})["sync"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return []
 
 
 def verify(run: Run, as_json: AsJson = False) -> None:
