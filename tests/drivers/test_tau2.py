@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
 
@@ -11,15 +9,16 @@ import numpy as np
 import pytest
 
 from thermacq.devices import DeviceContext, FrameFlag, TriggerMode
-from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout, IncompleteFrame
+from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
 from thermacq.hooks import Emulation
 from thermacq.store import open_run
 from thermacq.testing.emulation.scene import frame_number
 from thermacq.testing.emulators.tau2 import attach
-from thermacq.testing.streams import FrameSink
 from thermacq.timing.clock import RealClock
 from thermacq.timing.trigger_line import LineWriter
 from thermacq_drivers.tau2.camera import Tau2Camera, discover
+
+from .bench import KeepingHost, record_emulated, take_frames
 
 # Faster than any real one, to keep the tests short.
 RATE_HZ = 75.0
@@ -55,19 +54,9 @@ def armed(tmp_path, settings=None, **emulation):
 
 
 def take(camera, number):
-    """Numbers in the pictures, flags and temperatures of so many frames, and the damaged frames told of."""
-    sink = FrameSink(camera.capabilities.rows, camera.capabilities.columns)
-    stream, frames, damaged = camera.frames(sink), [], 0
-    while len(frames) < number:
-        try:
-            frame = next(stream)
-        except IncompleteFrame:
-            damaged += 1
-            stream = camera.frames(sink)
-            continue
-        frames.append((frame_number(frame.counts), frame.flags, frame.fpa_temperature_k))
-        sink.advance()
-    return frames, damaged
+    """Numbers in the pictures, flags and temperatures of so many frames, and how often damage was told of."""
+    frames, told = take_frames(camera, number)
+    return [(frame_number(frame.counts), frame.flags, frame.fpa_temperature_k) for frame in frames], len(told)
 
 
 @pytest.mark.parametrize(("size", "shape"), [("640", (512, 640)), ("336", (256, 336))])
@@ -155,12 +144,10 @@ def test_as_a_slave_it_takes_a_picture_for_each_pulse(tmp_path):
         camera.arm(TriggerMode.HARDWARE, 20.0)
         assert grabber._core.words[0x21] == 1
         line.start_session()
-        sink = FrameSink(256, 336)
-        stream, numbers = camera.frames(sink), []
+        stream, numbers = camera.frames(KeepingHost(camera)), []
         for _ in range(8):
             line.emit(RealClock().now_ns())
             numbers.append(frame_number(next(stream).counts))
-            sink.advance()
             time.sleep(0.05)
         camera.disarm()
     assert numbers == list(range(8))
@@ -263,13 +250,7 @@ faults = [{ kind = "short_read", at = 60, amount = 500 }]
 
 @pytest.mark.slow
 def test_a_recording(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    (tmp_path / "rig.toml").write_text(RIG)
-    program = [sys.executable, "-m", "thermacq", "record", "rig.toml", "--emulate", "-o", "run.h5"]
-    done = subprocess.run(
-        [*program, "--frames", "60"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
-    with open_run(tmp_path / "run.h5") as run:
+    _, file = record_emulated(tmp_path, monkeypatch, RIG, "--frames", "60")
+    with open_run(file) as run:
         assert run.frame_count("left") == 60
         assert run.summary()["sync"]["devices"]["left"]["lost"]["incomplete"] == 1
