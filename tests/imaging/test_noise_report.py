@@ -153,6 +153,7 @@ def test_a_report_is_drawn_and_told(write_run, views, tmp_path) -> None:
     assert page.count("data:image/png;base64,") == 1
     assert "simulated cameras" in page
     assert "NETD" in page
-    for name in ("noise.png", "noise.pdf"):
-        with pytest.raises(CorrectionError):
-            save_report(report, tmp_path / name)
+    with pytest.raises(StoreError, match="exists already"):
+        save_report(report, tmp_path / "noise.png")
+    with pytest.raises(CorrectionError, match="neither"):
+        save_report(report, tmp_path / "noise.pdf")

@@ -15,9 +15,10 @@ import typer
 from typer.core import TyperGroup
 
 from thermacq.cli import calibrate_live, calibrate_probe
-from thermacq.cli.calibration import AsJson, Output, refuse_existing, write_report
+from thermacq.cli.calibration import AsJson, Output, write_report
 from thermacq.cli.calibration_tables import advise, record_values, show_record
 from thermacq.cli.common import err, out, print_json
+from thermacq.outputs import check_new_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -119,9 +120,9 @@ def cameras(
     For a run file the board defaults to the one in its rig. Prints every view, the uncertainties and the
     acceptance table.
     """
-    refuse_existing(output)
+    check_new_file(output)
     if report is not None:
-        refuse_existing(report)
+        check_new_file(report)
     if bool(left) != bool(right) or bool(left) == bool(sources):
         raise typer.BadParameter("give a SOURCE, or both --left and --right")
     if (correction or no_correction) and (not sources or (correction and no_correction)):
@@ -189,7 +190,9 @@ def _calibrate(
         except CalibrationError as error:
             progress.stop()
             _show_detections(views, as_json)
-            raise CalibrationError(error.what, kept="No file was written.", remedy=error.remedy) from None
+            hint = "" if _mostly_found(views) else _miscount(pictures, board)
+            remedy = f"{hint} {error.remedy}" if hint and hint not in error.remedy else error.remedy
+            raise CalibrationError(error.what, kept="No file was written.", remedy=remedy) from None
 
 
 def _with_run(calibration: StereoCalibration, sources: list[Path], pair: str | None) -> StereoCalibration:
@@ -256,26 +259,39 @@ def _named(board: Board) -> str:
     return f"{names[board.kind]} of {board.columns} x {board.rows} inner corners"
 
 
+def _mostly_found(views: Sequence[View]) -> bool:
+    return 2 * sum(not view.problem for view in views) > len(views)
+
+
+def _miscount(pictures: Sequence[PictureView], board: Board) -> str:
+    """Say with which other corner counts a board is found in the first pictures; empty when with none."""
+    from thermacq.errors import ImportDataError
+    from thermacq_calibration.targets.targets import similar_boards
+
+    for load in [picture.left for picture in pictures if picture.left][:_LOOKED_AT]:
+        with suppress(ImportDataError):
+            if sizes := similar_boards(load(), board):
+                columns, rows = sizes[0]
+                return f"A board of {columns} x {rows} inner corners is there: count corners, not squares."
+    return ""
+
+
 def _what_is_there(pictures: Sequence[PictureView], board: Board) -> str:
     """Say which other board the first pictures show, if they show one."""
     from collections import Counter
 
     from thermacq.errors import ImportDataError
-    from thermacq_calibration.targets.targets import other_markers, similar_boards
+    from thermacq_calibration.targets.targets import other_markers
 
+    if miscount := _miscount(pictures, board):
+        return miscount
     markers: Counter[str] = Counter()
     most = 0
     for load in [picture.left for picture in pictures if picture.left][:_LOOKED_AT]:
-        try:
-            counts = load()
-        except ImportDataError:
-            continue
-        if sizes := similar_boards(counts, board):
-            columns, rows = sizes[0]
-            return f"A board of {columns} x {rows} inner corners is there: count corners, not squares."
-        seen = other_markers(counts, board)
-        markers.update(seen)
-        most = max(most, len(seen))
+        with suppress(ImportDataError):
+            seen = other_markers(load(), board)
+            markers.update(seen)
+            most = max(most, len(seen))
     if most >= _MARKERS_OF_CHARUCO:
         return f"There are up to {most} markers in a picture: a ChArUco board wants --board charuco."
     if markers:

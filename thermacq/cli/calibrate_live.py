@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermacq.cli.calibration import AsJson, Output, refuse_existing
+from thermacq.cli.calibration import AsJson, Output
 from thermacq.cli.common import err, warn
+from thermacq.outputs import check_new_file
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -53,7 +54,7 @@ def live(
     from thermacq_calibration import check_board
     from thermacq_calibration.geometry.judgement import refuse_impossible_square
 
-    refuse_existing(output)
+    check_new_file(output)
     resolved = load_rig(rig, scene)
     board = board_of(resolved)
     check_board(board)

@@ -53,7 +53,7 @@ def probe(
     as_json: AsJson = False,
 ) -> None:
     """Calibrate a wave probe by static immersion: straight line from raw values to metres, with its errors."""
-    from thermacq.reconstruction.outputs import check_new_file
+    from thermacq.outputs import check_new_file
     from thermacq_calibration.probes.probe_line import fit_probe_line, judge_line
     from thermacq_calibration.probes.probe_record import ProbeCalibration
 

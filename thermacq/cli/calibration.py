@@ -9,6 +9,7 @@ import typer
 
 from thermacq.cli.calibration_tables import advise, record_values, show_check, show_difference, show_record
 from thermacq.cli.common import EXIT_FINDINGS, err, print_json, warn
+from thermacq.outputs import check_new_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +61,7 @@ def report(
     from thermacq_calibration import load_calibration
 
     record = load_calibration(calibration)
-    refuse_existing(output)
+    check_new_file(output)
     write_report(record, output, [])
 
 
@@ -154,7 +155,7 @@ def rectified(
     """Write the calibration of pictures that are rectified already, from their known geometry."""
     from thermacq_calibration import StereoCalibration
 
-    refuse_existing(output)
+    check_new_file(output)
     columns, rows = _numbers(size.lower(), "x", "--size", "741x500")
     centre = _numbers(principal_point, ",", "--principal-point", "311.2,254.9") if principal_point else None
     if columns != int(columns) or rows != int(rows):
@@ -181,15 +182,3 @@ def write_report(calibration: StereoCalibration, output: Path, shown: Sequence[S
 
     write_calibration_page(calibration, output, shown)
     err.print(f"wrote {output}")
-
-
-def refuse_existing(output: Path) -> None:
-    """Stop before the work when its result could not be written."""
-    from thermacq.errors import ThermacqError
-
-    if output.exists():
-        raise ThermacqError(
-            f"'{output}' exists already", kept="It was not touched.", remedy="Choose another name."
-        )
-    if not output.parent.is_dir():
-        raise ThermacqError(f"there is no folder '{output.parent}' to write to")

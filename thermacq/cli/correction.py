@@ -118,7 +118,7 @@ def show(
     correction = load_correction(file)
     if picture is not None:
         from thermacq.imaging.correction_picture import draw_correction
-        from thermacq.reconstruction import check_new_file
+        from thermacq.outputs import check_new_file
 
         check_new_file(picture)
         draw_correction(correction, picture)

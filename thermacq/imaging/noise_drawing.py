@@ -13,6 +13,7 @@ import numpy as np
 
 from thermacq.errors import CorrectionError
 from thermacq.imaging.noise_tables import camera_rows, component_rows
+from thermacq.outputs import check_new_file
 from thermacq_calibration.infrared.noise import COMPONENTS
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ def save_report(report: NoiseReport, output: Path) -> None:
 
     Raises
     ------
-    CorrectionError
-        The name ends otherwise, or the file exists.
+    CorrectionError, StoreError
+        The name ends otherwise, or the file exists or cannot be made.
     """
     check_output(output)
     if output.suffix.lower() == ".png":
@@ -87,15 +88,10 @@ def save_report(report: NoiseReport, output: Path) -> None:
 
 
 def check_output(output: Path) -> None:
-    """Refuse a file that exists, has no folder, or is neither ``.png`` nor ``.html``; raises `CorrectionError`."""
+    """Refuse a file that is neither ``.png`` nor ``.html`` (`CorrectionError`) or cannot be made (`StoreError`)."""
     if output.suffix.lower() not in (".png", ".html"):
         raise CorrectionError(f"'{output}' is neither .png nor .html", remedy="Name it report.html.")
-    if not output.parent.is_dir():
-        raise CorrectionError(f"there is no folder '{output.parent}'", remedy="Make it, or choose another.")
-    if output.exists():
-        raise CorrectionError(
-            f"'{output}' exists already", kept="It was not touched.", remedy="Choose another name."
-        )
+    check_new_file(output)
 
 
 def draw(cameras: Sequence[CameraNoise]) -> Figure:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def save_warm_up(monitor: PreheatMonitor, status: PreheatStatus, output: Path) -> None:
-    """Draw the warm-up of all cameras to a new picture file; raises `CorrectionError` as `check_output`."""
+    """Draw the warm-up of all cameras to a new picture file; raises as `check_output`."""
     check_output(output)
     draw(monitor, status).savefig(output)
 

@@ -4,6 +4,7 @@ One direction: `open_source` checks a run and its calibration, `find_world_frame
 the still water, `reconstruct` writes the elevation product, `open_product` and `virtual_probe` read it.
 """
 
+from thermacq.outputs import check_new_file
 from thermacq.reconstruction.disparity_errors import (
     DepthErrors,
     DisparityErrors,
@@ -13,7 +14,6 @@ from thermacq.reconstruction.disparity_errors import (
 from thermacq.reconstruction.elevation import Reconstructed, parts_folder_of, reconstruct
 from thermacq.reconstruction.gridding import Grid, GriddedSurface, grid_over, grid_points
 from thermacq.reconstruction.matching import parse_settings
-from thermacq.reconstruction.outputs import check_new_file
 from thermacq.reconstruction.plane import Plane, fit_plane
 from thermacq.reconstruction.point_cloud import write_ply
 from thermacq.reconstruction.product import VirtualProbe, open_product, virtual_probe

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermacq.errors import ReconstructionError
+from thermacq.outputs import check_new_file
 from thermacq.reconstruction.cell_uncertainty import cell_uncertainty_m
 from thermacq.reconstruction.gridding import Grid, GriddedSurface, grid_over, grid_points
 from thermacq.reconstruction.matching import MatchingJob, PairReader, make_matcher
 from thermacq.reconstruction.mean_surface import points_of
 from thermacq.reconstruction.outliers import reject_outliers
-from thermacq.reconstruction.outputs import check_new_file
 from thermacq.reconstruction.parts import PartMaker, PartsJob, Progress, make_parts, read_parts
 from thermacq.reconstruction.product import ProductWriter
 from thermacq.reconstruction.rims import Interior

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from thermacq import __version__
 from thermacq.errors import ReconstructionError
+from thermacq.outputs import check_new_file
 from thermacq.reconstruction.cell_uncertainty import cell_uncertainty_m
 from thermacq.reconstruction.gridding import Grid
-from thermacq.reconstruction.outputs import check_new_file
 from thermacq.reconstruction.product import ProductWriter, open_product
 from thermacq.reconstruction.world import WorldFrame
 

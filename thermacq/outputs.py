@@ -17,7 +17,9 @@ def check_new_file(path: Path) -> None:
         It exists, or its folder is missing or read-only.
     """
     if path.exists():
-        raise StoreError(f"'{path}' exists", kept="It was not touched.", remedy="Choose another name.")
+        raise StoreError(
+            f"'{path}' exists already", kept="It was not touched.", remedy="Choose another name."
+        )
     if not path.parent.is_dir():
         raise StoreError(f"there is no folder '{path.parent}'", remedy="Make it, or choose another.")
     if not os.access(path.parent, os.W_OK):
