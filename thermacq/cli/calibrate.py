@@ -15,9 +15,9 @@ import typer
 from typer.core import TyperGroup
 
 from thermacq.cli import calibrate_live, calibrate_probe
-from thermacq.cli.calibration import AsJson, Output, write_report
+from thermacq.cli.calibration import Output, write_report
 from thermacq.cli.calibration_tables import advise, record_values, show_record
-from thermacq.cli.common import err, out, print_json
+from thermacq.cli.common import AsJson, err, out, print_json
 from thermacq.outputs import check_new_file
 
 if TYPE_CHECKING:

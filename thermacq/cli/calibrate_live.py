@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermacq.cli.calibration import AsJson, Output
-from thermacq.cli.common import err, warn
+from thermacq.cli.calibration import Output
+from thermacq.cli.common import AsJson, err, warn
 from thermacq.outputs import check_new_file
 
 if TYPE_CHECKING:

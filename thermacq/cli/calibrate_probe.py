@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermacq.cli.common import err, out, print_json, warn
+from thermacq.cli.common import AsJson, err, out, print_json, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from thermacq.evaluation.probe_steps import ProbeSteps
     from thermacq_calibration.probes.probe_record import CoefficientSpread, ProbeCalibration
 
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 _LEAST_HISTORY = 3
 _RUN_SUFFIXES = (".h5", ".hdf5", ".nxs")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thermacq.cli.calibration_tables import advise, record_values, show_check, show_difference, show_record
-from thermacq.cli.common import EXIT_FINDINGS, err, print_json, warn
+from thermacq.cli.common import EXIT_FINDINGS, AsJson, err, print_json, warn
 from thermacq.outputs import check_new_file
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 Record = Annotated[Path, typer.Argument(help="Calibration record.")]
 Output = Annotated[
     Path, typer.Option("--output", "-o", help="Calibration record to write; must not exist yet.")

@@ -1,12 +1,18 @@
-"""What the commands share: consoles, JSON output, and the way errors are shown."""
+"""What the commands share: consoles, options, JSON output, and the way errors are shown."""
 
 from __future__ import annotations
 
 import json
 import sys
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from rich.console import Console
+
+# Options and arguments that several commands have.
+AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
+UNIFORM_VIEW = "RUN[@KELVIN[@A:B]]"
+"""How a uniform view in a run is written, see `thermacq.imaging.references.parse_reference`."""
 
 EXIT_FAILED = 1
 EXIT_FINDINGS = 3

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermacq.cli.common import EXIT_FINDINGS, out, print_json, warn
+from thermacq.cli.common import EXIT_FINDINGS, UNIFORM_VIEW, AsJson, out, print_json, warn
 
 if TYPE_CHECKING:
     from thermacq.imaging.making import Made
@@ -17,8 +17,6 @@ app = typer.Typer(
     help="Infrared correction of cameras: non-uniformity, bad pixels, shading.", no_args_is_help=True
 )
 
-_VIEW = "RUN[@KELVIN[@A:B]]"
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 CorrectionFile = Annotated[Path, typer.Argument(metavar="FILE", help="Correction file.")]
 
 
@@ -27,25 +25,29 @@ def make(
     cold: Annotated[
         str,
         typer.Option(
-            metavar=_VIEW, help="Run of a uniform view; the colder one, or the only one (one-point)."
+            metavar=UNIFORM_VIEW, help="Run of a uniform view; the colder one, or the only one (one-point)."
         ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Beginning of the files' names: NAME-CAMERA.correction.h5.")
     ],
     hot: Annotated[
-        str | None, typer.Option(metavar=_VIEW, help="Run of the warmer uniform view (two-point).")
+        str | None, typer.Option(metavar=UNIFORM_VIEW, help="Run of the warmer uniform view (two-point).")
     ] = None,
     check: Annotated[
         str | None,
-        typer.Option(metavar=_VIEW, help="Run of a third temperature: judges the result, finds outliers."),
+        typer.Option(
+            metavar=UNIFORM_VIEW, help="Run of a third temperature: judges the result, finds outliers."
+        ),
     ] = None,
     uniform: Annotated[
-        str | None, typer.Option(metavar=_VIEW, help="Run of a uniform view to find shading from.")
+        str | None, typer.Option(metavar=UNIFORM_VIEW, help="Run of a uniform view to find shading from.")
     ] = None,
     shutter: Annotated[
         str | None,
-        typer.Option(metavar=_VIEW, help="Run of the cameras' internal shutters at the time of the views."),
+        typer.Option(
+            metavar=UNIFORM_VIEW, help="Run of the cameras' internal shutters at the time of the views."
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -79,7 +81,9 @@ def make(
 @app.command()
 def update(
     file: CorrectionFile,
-    shutter: Annotated[str, typer.Option(metavar=_VIEW, help="Run of a later uniform view or shutter.")],
+    shutter: Annotated[
+        str, typer.Option(metavar=UNIFORM_VIEW, help="Run of a later uniform view or shutter.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Correction file to write.")],
     behind_lens: Annotated[
         bool,
@@ -136,7 +140,7 @@ def check(
     runs: Annotated[
         list[str],
         typer.Argument(
-            metavar=f"{_VIEW}...",
+            metavar=f"{UNIFORM_VIEW}...",
             help="Run of a uniform view of the same camera. Of several, at different times, the last is judged; "
             "four or more measure how fast the non-uniformity grows.",
         ),

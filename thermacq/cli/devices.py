@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-
-from thermacq.cli.common import out, print_json
-
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
+from thermacq.cli.common import AsJson, out, print_json
 
 
 def plugins(as_json: AsJson = False) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thermacq.cli.common import EXIT_FINDINGS, out, print_json
+from thermacq.cli.common import EXIT_FINDINGS, AsJson, out, print_json
 
 _COLOURS = {"ok": "green", "warning": "yellow", "problem": "red"}
 
@@ -24,7 +24,7 @@ def doctor(
         bool,
         typer.Option("--udev-rules", help="Print the udev rules for all known devices, and do nothing else."),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Look at libraries, permissions, USB, network, clock, disk and priority; exit with 3 if one is a problem."""
     from thermacq import doctor as examination

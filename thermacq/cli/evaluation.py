@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from thermacq.cli.common import err, out, print_json, warn
+from thermacq.cli.common import AsJson, err, out, print_json, warn
 
 if TYPE_CHECKING:
     from thermacq.evaluation import Comparison
 
 ProductPath = Annotated[Path, typer.Argument(metavar="PRODUCT", help="Elevation product (NetCDF).")]
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 CrossingOption = Annotated[
     Literal["up", "down"], typer.Option("--crossing", help="Zero crossings between waves.")
 ]

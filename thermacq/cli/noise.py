@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermacq.cli.common import out, print_json, warn
+from thermacq.cli.common import UNIFORM_VIEW, AsJson, out, print_json, warn
 
 if TYPE_CHECKING:
     from thermacq.imaging.noise_report import NoiseReport
 
-_VIEW = "RUN[@KELVIN[@A:B]]"
-
 
 def noise(
-    run: Annotated[str, typer.Argument(metavar=_VIEW, help="Run of a uniform view, or frames A to B of it.")],
+    run: Annotated[
+        str, typer.Argument(metavar=UNIFORM_VIEW, help="Run of a uniform view, or frames A to B of it.")
+    ],
     counts_per_kelvin: Annotated[
         float | None, typer.Option("--counts-per-kelvin", help="Scale of the counts, for all cameras.")
     ] = None,
     sitf: Annotated[
         list[str] | None,
-        typer.Option("--sitf", metavar=_VIEW, help="Uniform view for the scale; give three or more."),
+        typer.Option("--sitf", metavar=UNIFORM_VIEW, help="Uniform view for the scale; give three or more."),
     ] = None,
     correction: Annotated[
         list[Path] | None,
@@ -36,7 +36,7 @@ def noise(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Report to write: .html, or .png.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Noise report: NETD, non-uniformity, 3-D noise with intervals, spectra, bad pixels, warm-up curve."""
     from thermacq.imaging.noise_drawing import check_output, save_report

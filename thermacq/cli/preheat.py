@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermacq.cli.common import EXIT_FINDINGS, err, out, print_json, warn
+from thermacq.cli.common import EXIT_FINDINGS, AsJson, err, out, print_json, warn
 from thermacq.errors import AcquisitionError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def preheat(
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Draw the warm-up to this .png file.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable output.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Watch cameras warm up, live or recorded: exit status 0 for go, 3 for no-go.
 

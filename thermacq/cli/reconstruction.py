@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermacq.cli.common import EXIT_INTERRUPTED, err, out, print_json, warn
+from thermacq.cli.common import EXIT_INTERRUPTED, AsJson, err, out, print_json, warn
 
 if TYPE_CHECKING:
     from thermacq.reconstruction import MatchedPair, Source, WorldFrame
@@ -44,7 +44,6 @@ CorrectionFiles = Annotated[
 NoCorrection = Annotated[
     bool, typer.Option("--no-correction", help="Pictures as the cameras delivered them.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 
 
 def still_water(

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermacq.cli.common import EXIT_FAILED, EXIT_INTERRUPTED, err, out, print_json, show_error, warn
+from thermacq.cli.common import EXIT_FAILED, EXIT_INTERRUPTED, AsJson, err, out, print_json, show_error, warn
 from thermacq.errors import AcquisitionError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from thermacq.acquisition import RecordingResult, Session
-
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 
 
 def record(

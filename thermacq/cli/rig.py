@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermacq.cli.common import EXIT_FINDINGS, err, out, print_json
+from thermacq.cli.common import EXIT_FINDINGS, AsJson, err, out, print_json
 
 if TYPE_CHECKING:
     from thermacq.hooks import RigFinding
@@ -23,7 +23,6 @@ RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (TOML).")
 SceneFile = Annotated[
     Path | None, typer.Option("--scene", help="TOML file whose keys replace those of [scene].")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 
 
 @app.command()

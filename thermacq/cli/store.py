@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermacq.cli.common import EXIT_FINDINGS, err, out, print_json
+from thermacq.cli.common import EXIT_FINDINGS, AsJson, err, out, print_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from thermacq.store import RunFile
 
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 Run = Annotated[Path, typer.Argument(help="A run file.", metavar="RUN")]
 Output = Annotated[Path, typer.Option("--output", "-o", help="The run file to be made.")]
 

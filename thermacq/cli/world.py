@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermacq.cli.common import err, out, print_json, warn
+from thermacq.cli.common import AsJson, err, out, print_json, warn
 
 if TYPE_CHECKING:
     from thermacq.reconstruction import WorldFrame
@@ -20,7 +20,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 Output = Annotated[
     Path, typer.Option("--output", "-o", help="World frame to write (JSON); must not exist yet.")
 ]
