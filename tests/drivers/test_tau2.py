@@ -14,7 +14,7 @@ from thermacq.hooks import Emulation
 from thermacq.store import open_run
 from thermacq.testing.emulation.scene import frame_number
 from thermacq.testing.emulators.tau2 import attach
-from thermacq.timing.clock import RealClock
+from thermacq.timing.clock import RealClock, VirtualClock
 from thermacq.timing.trigger_line import LineWriter
 from thermacq_drivers.tau2.camera import Tau2Camera, discover
 
@@ -26,18 +26,21 @@ QUICK = {"ffc_at_arm": False, "timeout_s": 1.0, "own_rate_hz": RATE_HZ}
 
 
 @contextmanager
-def emulated(tmp_path, name="left", **settings):
+def emulated(tmp_path, name="left", clock=None, **settings):
     with attach(
-        Emulation(name, RealClock(), tmp_path, {"size": "336", "own_rate_hz": RATE_HZ} | settings)
+        Emulation(name, clock or RealClock(), tmp_path, {"size": "336", "own_rate_hz": RATE_HZ} | settings)
     ) as transports:
         yield transports
 
 
 @contextmanager
-def opened(tmp_path, settings=None, **emulation):
-    with emulated(tmp_path, **emulation) as transports:
+def opened(tmp_path, settings=None, clock=None, **emulation):
+    """Camera that answers; in virtual time, where no frame is lost to a busy computer."""
+    clock = clock or VirtualClock()
+    with emulated(tmp_path, clock=clock, **emulation) as transports:
         given = QUICK | (settings or {})
-        camera = Tau2Camera(DeviceContext("left", RealClock(), transports=transports, settings=given))
+        camera = Tau2Camera(DeviceContext("left", clock, transports=transports, settings=given))
+        camera.clock, camera.plug = clock, transports.usb[0]
         try:
             camera.open()
             camera.configure(given)
@@ -47,8 +50,8 @@ def opened(tmp_path, settings=None, **emulation):
 
 
 @contextmanager
-def armed(tmp_path, settings=None, **emulation):
-    with opened(tmp_path, settings, **emulation) as (camera, grabber):
+def armed(tmp_path, settings=None, clock=None, **emulation):
+    with opened(tmp_path, settings, clock, **emulation) as (camera, grabber):
         camera.arm(TriggerMode.FREE_RUN, RATE_HZ)
         yield camera, grabber
 
@@ -81,9 +84,9 @@ def test_it_says_who_it_is(tmp_path):
 def test_ffc_mode_and_ffc_at_arming(tmp_path):
     with opened(tmp_path, {"ffc_mode": "external", "ffc_at_arm": True}, ffc_s=0.3) as (camera, grabber):
         assert grabber._core.words[0x0B] == 2
-        began_s = time.monotonic()
+        began_ns = camera.clock.now_ns()
         camera.arm(TriggerMode.FREE_RUN, RATE_HZ)
-        assert time.monotonic() - began_s >= 0.3
+        assert camera.clock.now_ns() - began_ns >= 0.3e9
         frames, _ = take(camera, 4)
     assert not any(flags for _, flags, _ in frames)
 
@@ -131,7 +134,8 @@ def test_every_fault_shows_as_what_it_is(tmp_path, fault, told, missing):
     "fault",
     [{"kind": "bad_crc", "at": 2}, {"kind": "drop", "at": 3}, {"kind": "garbage", "at": 1, "amount": 7}],
 )
-def test_damaged_answers_are_asked_for_again(tmp_path, fault):
+def test_damaged_answers_are_asked_for_again(tmp_path, monkeypatch, fault):
+    monkeypatch.setattr("thermacq_drivers.tau2.link._ANSWER_S", 0.5)
     with armed(tmp_path, serial_faults=[fault]) as (camera, grabber):
         frames, damaged = take(camera, 3)
         assert sum(grabber._core._serial_schedule.injected.values()) == 1
@@ -140,7 +144,7 @@ def test_damaged_answers_are_asked_for_again(tmp_path, fault):
 
 def test_as_a_slave_it_takes_a_picture_for_each_pulse(tmp_path):
     line = LineWriter(tmp_path, "trigger")
-    with opened(tmp_path) as (camera, grabber):
+    with opened(tmp_path, clock=RealClock()) as (camera, grabber):
         camera.arm(TriggerMode.HARDWARE, 20.0)
         assert grabber._core.words[0x21] == 1
         line.start_session()
@@ -154,7 +158,10 @@ def test_as_a_slave_it_takes_a_picture_for_each_pulse(tmp_path):
 
 
 def test_the_number_of_the_slave_can_be_set(tmp_path):
-    with opened(tmp_path, {"sync_slave": 5, "timeout_s": 0.3}, slave_number=5) as (camera, grabber):
+    with opened(tmp_path, {"sync_slave": 5, "timeout_s": 0.3}, RealClock(), slave_number=5) as (
+        camera,
+        grabber,
+    ):
         camera.arm(TriggerMode.HARDWARE, 20.0)
         assert grabber._core.words[0x21] == 5
         with pytest.raises(DeviceTimeout, match=r"no frame came for 0\.3 s") as caught:
@@ -172,7 +179,7 @@ def test_a_camera_left_as_a_slave_is_opened(tmp_path):
 def test_silence_and_a_pulled_plug_are_typed(tmp_path):
     silent = [{"kind": "timeout", "at": 30, "seconds": 60}]
     with (
-        armed(tmp_path, {"timeout_s": 0.3}, faults=silent) as (camera, _),
+        armed(tmp_path, {"timeout_s": 0.3}, RealClock(), faults=silent) as (camera, _),
         pytest.raises(DeviceTimeout, match="no frame came"),
     ):
         take(camera, 100)
@@ -182,11 +189,11 @@ def test_silence_and_a_pulled_plug_are_typed(tmp_path):
 
 
 def test_it_works_again_after_it_was_plugged_in_again(tmp_path):
-    with armed(tmp_path, faults=[{"kind": "disconnect", "at": 30, "seconds": 0.2}]) as (camera, _):
+    with armed(tmp_path, faults=[{"kind": "disconnect", "at": 30}]) as (camera, _):
         with pytest.raises(DeviceDisconnected):
             take(camera, 100)
         camera.close()
-        time.sleep(0.25)
+        camera.plug.plug()
         assert camera.open().serial == "EMU-left"
         camera.configure(QUICK)
         camera.arm(TriggerMode.FREE_RUN, RATE_HZ)

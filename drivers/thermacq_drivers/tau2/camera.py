@@ -265,6 +265,8 @@ class Tau2Camera:
                 what = f"its flat-field correction was not complete after {_FFC_S:g} s"
                 remedy = "Does its shutter click? A camera without shutter needs ffc_at_arm = false."
                 raise DeviceTimeout(self._name, "arm", what, remedy=remedy)
+            # Its frames meanwhile must not pile up; and virtual time passes with frames only.
+            link.read("arm")
 
     def _first_shot(self, link: TauLink, stage: str) -> Shot:
         deadline_s = time.monotonic() + _FIRST_PICTURE_S
