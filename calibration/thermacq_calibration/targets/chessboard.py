@@ -36,7 +36,7 @@ def similar_chessboards(grey: Bytes, board: Board) -> list[tuple[int, int]]:
     """Corner counts (columns, rows) near those of `board` with which a board is found."""
     import cv2
 
-    steps = ((-1, -1), (1, 1), (-1, 0), (0, -1), (1, 0), (0, 1))
+    steps = [(-1, -1), (-1, 0), (0, -1), (1, 1), (1, 0), (0, 1), (2, 0), (0, 2), (2, 2), (2, 1), (1, 2)]
     sizes = [(board.columns + across, board.rows + along) for across, along in steps]
     return [size for size in sizes if min(size) >= 3 and cv2.findChessboardCornersSB(grey, size, flags=0)[0]]
 

@@ -11,6 +11,7 @@ odd. On other targets the markers, or the shift of every other row of circles, s
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -92,11 +93,16 @@ def similar_boards(picture: NDArray[Any], board: Board) -> list[tuple[int, int]]
     Returns
     -------
     list of tuple
-        (columns, rows), most often empty; always empty for other targets than plain chessboards.
+        (columns, rows), the likeliest first; most often empty, always empty for other targets than plain chessboards.
     """
     if board.kind is not BoardKind.CHESSBOARD or unusable(picture):
         return []
-    return similar_chessboards(stretch(picture), board)
+    sizes = similar_chessboards(stretch(picture), board)
+    # The detector also finds grids that skip corners; between their fields there is hardly any contrast.
+    seen = {size: detect_board(picture, replace(board, columns=size[0], rows=size[1])) for size in sizes}
+    there = [size for size in sizes if isinstance(seen[size], Detection)]
+    # Boards that may be used first, then the larger ones: parts of a board are found as well.
+    return sorted(there, key=lambda size: (sum(size) % 2 == 0, -size[0] * size[1]))
 
 
 def other_markers(picture: NDArray[Any], board: Board) -> list[str]:

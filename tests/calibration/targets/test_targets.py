@@ -125,6 +125,7 @@ def test_a_miscount_is_recognised(picture):
     squares_counted = Board(10, 7, 0.05)
     assert isinstance(detect_board(picture, squares_counted), NoBoard)
     assert similar_boards(picture, squares_counted)[0] == (9, 6)
+    assert similar_boards(picture, Board(8, 5, 0.05))[0] == (9, 6)
     assert similar_boards(np.full((256, 320), 8000), squares_counted) == []
 
 
