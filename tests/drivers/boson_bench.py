@@ -1,15 +1,11 @@
-"""What the tests of the Boson share: a driver on an emulated camera, and what came of its frames."""
+"""What the tests of the Boson share: a driver on an emulated camera, and the gaps between its frames."""
 
 from __future__ import annotations
 
-import time
 from contextlib import contextmanager
 from itertools import pairwise
 
-import numpy as np
-
 from thermacq.devices import DeviceContext
-from thermacq.errors import IncompleteFrame
 from thermacq.hooks import Emulation
 from thermacq.testing.emulators import boson as emulated
 from thermacq.timing.clock import RealClock, VirtualClock
@@ -17,19 +13,6 @@ from thermacq_drivers.boson.camera import BosonCamera
 
 QUICK = {"ffc_at_arm": False}
 SMALL = {"size": "320"}
-
-
-class Host:
-    def __init__(self, camera):
-        declared = camera.capabilities
-        self.shape = declared.rows, declared.columns
-        self.stop = False
-
-    def stopping(self):
-        return self.stop
-
-    def buffer(self):
-        return np.zeros(self.shape, np.uint16)
 
 
 @contextmanager
@@ -58,20 +41,6 @@ def camera(tmp_path, settings=None, *, name="left", clock=None, **emulation):
 
 def context(transports, name="left", serial="", clock=None):
     return DeviceContext(name, clock or RealClock(), transports=transports, serial=serial)
-
-
-def take(device, number, within_s=20.0):
-    """Frames, and the losses that were announced between them."""
-    host, frames, told = Host(device), [], []
-    stream = device.frames(host)
-    deadline_s = time.monotonic() + within_s
-    while len(frames) < number and time.monotonic() < deadline_s:
-        try:
-            frames.append(next(stream))
-        except IncompleteFrame as fault:
-            told.append(fault.what)
-            stream = device.frames(host)
-    return frames, told
 
 
 def gaps(frames, modulus=2**32):

@@ -8,7 +8,8 @@ from thermacq.devices import TriggerMode
 from thermacq.errors import DeviceTimeout
 from thermacq_drivers.boson.camera import BosonCamera
 
-from .boson_bench import QUICK, camera, context, plugged, take
+from .bench import take_frames as take
+from .boson_bench import QUICK, camera, context, plugged
 
 
 @pytest.fixture(autouse=True)

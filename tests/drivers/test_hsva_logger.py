@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from thermacq.devices import DeviceContext
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
 from thermacq.hooks import Emulation
+from thermacq.testing.bench import StopSwitch
 from thermacq.testing.emulators.hsva_logger import attach
 from thermacq.timing.clock import RealClock
 from thermacq.timing.trigger_line import LineWriter
@@ -22,11 +23,6 @@ from thermacq_drivers.hsva_logger import HsvaLogger, RecordParser, continue_tick
 WORKED = bytes.fromhex(
     "53 88 13 00 00 F8 13 00 00 68 14 00 00 D8 14 00 00 00 02 F2 01 F9 01 08 02 01 00 00 00 04 45"
 )
-
-
-class Host:
-    def stopping(self):
-        return False
 
 
 def record(number, adc=(100, 101, 102, 103)):
@@ -50,7 +46,7 @@ def logger(tmp_path, settings=None, **emulation):
 
 def take(device, samples):
     blocks, taken = [], 0
-    for block in device.samples(Host()):
+    for block in device.samples(StopSwitch()):
         blocks.append(block)
         taken += len(block.values)
         if taken >= samples:
@@ -170,7 +166,7 @@ def test_it_waits_for_its_trigger_without_complaint(tmp_path):
         line = LineWriter(tmp_path, "trigger")
         began_s = time.monotonic()
 
-        class Pulsing(Host):
+        class Pulsing(StopSwitch):
             def stopping(self):
                 if time.monotonic() - began_s > 0.6 and not self.sent:
                     self.sent = True

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from thermacq.devices import DeviceContext
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
 from thermacq.hooks import Emulation
+from thermacq.testing.bench import StopSwitch
 from thermacq.testing.emulators.modbus_level import ModbusProbe, ModbusProbeEmulation, attach, crc16
 from thermacq.timing.clock import RealClock, VirtualClock
 from thermacq_drivers.modbus_level import ModbusLevelProbe, decode_registers
@@ -25,11 +26,6 @@ SCALE = 0.003384 * 0.0254
 @pytest.fixture(autouse=True)
 def _quiet_library():
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-
-
-class Host:
-    def stopping(self):
-        return False
 
 
 @contextmanager
@@ -47,7 +43,7 @@ def probe(tmp_path, settings=None, **emulation):
 
 
 def take(device, samples):
-    stream = device.samples(Host())
+    stream = device.samples(StopSwitch())
     return [next(stream) for _ in range(samples)]
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from thermacq.devices import DeviceContext
 from thermacq.errors import DeviceDisconnected, DeviceFault, DeviceTimeout
 from thermacq.hooks import Emulation
+from thermacq.testing.bench import StopSwitch
 from thermacq.testing.emulators.serial_ascii import attach
 from thermacq.timing.clock import RealClock
 from thermacq_drivers.serial_ascii import (
@@ -26,11 +27,6 @@ from thermacq_drivers.serial_ascii import (
 
 MAXBOTIX = re.compile(r"R(?P<distance>\d{4})")
 WAIT = 5.0
-
-
-class Host:
-    def stopping(self):
-        return False
 
 
 @contextmanager
@@ -50,7 +46,7 @@ def probe(tmp_path, settings=None, serial="", **emulation):
 
 def take(device, samples):
     blocks, taken = [], 0
-    for block in device.samples(Host()):
+    for block in device.samples(StopSwitch()):
         blocks.append(block)
         taken += len(block.values)
         if taken >= samples:
