@@ -15,7 +15,7 @@ from thermacq_calibration.geometry.stereo import View, calibrate_stereo
 from thermacq_calibration.infrared.correction import BadPixel, CameraCorrection, load_correction
 from thermacq_calibration.infrared.corrector import Corrector
 from thermacq_calibration.infrared.nonuniformity import make_correction, update_offset, with_outliers
-from thermacq_calibration.infrared.pattern_growth import PatternGrowth, fit_growth, growth_warning
+from thermacq_calibration.infrared.pattern_growth import PatternGrowth, fit_growth
 from thermacq_calibration.infrared.radiometry import RadiometricScale, radiometric_scale
 from thermacq_calibration.infrared.reference_view import ReferenceView, observe
 from thermacq_calibration.infrared.shading import with_shading
@@ -57,7 +57,6 @@ __all__ = [
     "detect_board",
     "findings",
     "fit_growth",
-    "growth_warning",
     "load_calibration",
     "load_correction",
     "make_correction",

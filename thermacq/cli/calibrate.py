@@ -198,7 +198,8 @@ def _calibrate(
 def _with_run(calibration: StereoCalibration, sources: list[Path], pair: str | None) -> StereoCalibration:
     """What a run file knows about its cameras; pictures do not tell."""
     from thermacq.reconstruction.calibration_check import counts_per_kelvin, temperatures_k
-    from thermacq.reconstruction.views import is_run, serials_of
+    from thermacq.reconstruction.pairs import camera_serials
+    from thermacq.reconstruction.views import is_run
     from thermacq.store import open_run
 
     if not is_run(sources):
@@ -207,7 +208,7 @@ def _with_run(calibration: StereoCalibration, sources: list[Path], pair: str | N
         return replace(
             calibration,
             source=f"{calibration.source} (simulated)" if run.header.simulated else calibration.source,
-            serials=serials_of(sources, pair),
+            serials=camera_serials(run, pair),
             temperatures_k=temperatures_k(run, pair),
             counts_per_kelvin=counts_per_kelvin(run, pair),
         )

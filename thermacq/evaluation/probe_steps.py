@@ -67,7 +67,7 @@ def steps_of_run(path: Path, immersions_m: Series, probe: str | None, channel: s
             f"{path.name} (run {run.header.run_id})",
             run.header.start_time,
             name,
-            str(stream.identity.get("serial", "")),
+            stream.serial,
             chosen,
             samples.unit,
         )

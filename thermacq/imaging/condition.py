@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 LARGEST_RESIDUAL_NETD = 0.5
 LARGEST_GROWTH_NETD = 0.5
-_FEWEST_AGES = 4
 _YOUNGEST_S = 60.0
 """Growth within less time than this says nothing about a recording."""
 
@@ -172,7 +171,7 @@ def _measured_growth_netd(
     ages_s: Sequence[float | None], found: Sequence[Uniformity], planned_s: float
 ) -> float | None:
     """Growth by the law that views at several ages give, over the temporal noise; None with too few of them."""
-    from thermacq_calibration import fit_growth
+    from thermacq_calibration.infrared.pattern_growth import FEWEST_AGES, fit_growth
 
     known: dict[float, float] = {}
     for age_s, one in zip(ages_s, found, strict=True):
@@ -180,7 +179,7 @@ def _measured_growth_netd(
         if age_s is not None and age_s >= 0 and sigma_k is not None:
             known[age_s] = sigma_k
     noise_k = found[-1].kelvin(found[-1].noise_counts)
-    if len(known) < _FEWEST_AGES or not noise_k:
+    if len(known) < FEWEST_AGES or not noise_k:
         return None
     return fit_growth(list(known), list(known.values())).growth_k(max(known), planned_s) / noise_k
 

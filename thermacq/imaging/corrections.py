@@ -174,7 +174,7 @@ def doubts(run: RunFile, cameras: Sequence[str], corrections: Corrections) -> tu
 def check_fits(run: RunFile, camera: str, correction: CameraCorrection) -> None:
     """Refuse the correction of another camera, or for pictures of another size; raises `CorrectionError`."""
     stream = run.camera(camera)
-    serial = str(stream.identity.get("serial", ""))
+    serial = stream.serial
     if serial and correction.serial and serial != correction.serial:
         raise CorrectionError(
             f"the correction is that of camera {correction.serial}; camera '{camera}' of '{run.path}' is {serial}",
@@ -271,9 +271,7 @@ def _by_camera(run: RunFile, files: Sequence[Path]) -> dict[str, CameraCorrectio
         correction = load_correction(file)
         camera = _camera_of(run, correction)
         if camera is None:
-            known = ", ".join(
-                f"{name} is {run.camera(name).identity.get('serial') or 'unknown'}" for name in run.cameras
-            )
+            known = ", ".join(f"{name} is {run.camera(name).serial or 'unknown'}" for name in run.cameras)
             raise CorrectionError(
                 f"'{file}' is the correction of camera {correction.serial or correction.camera}, which did not "
                 f"take part in '{run.path}' ({known})",
@@ -291,7 +289,7 @@ def _by_camera(run: RunFile, files: Sequence[Path]) -> dict[str, CameraCorrectio
 def _camera_of(run: RunFile, correction: CameraCorrection) -> str | None:
     """Camera of a correction: by serial number, and by name where either has none."""
     for name in run.cameras:
-        serial = str(run.camera(name).identity.get("serial", ""))
+        serial = run.camera(name).serial
         if serial and correction.serial:
             if serial == correction.serial:
                 return name

@@ -257,7 +257,7 @@ def _camera(
     # A repeated picture holds no noise of its own.
     is_new = np.concatenate([[True], np.diff(table.crc32.astype(np.int64)) != 0])
     chosen = chosen[is_new[chosen]]
-    serial = str(run.camera(camera).identity.get("serial", ""))
+    serial = run.camera(camera).serial
     name = f"{run.path.name}, camera '{camera}'"
     seen = observe((run.counts(camera, int(index)) for index in chosen), temperature_k, name=name)
     corrector = corrections.corrector(camera)

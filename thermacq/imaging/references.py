@@ -95,7 +95,7 @@ def views_of(reference: Reference, cameras: list[str] | None = None) -> dict[str
 def serials_of(path: Path) -> dict[str, str]:
     """Serial number of each camera of a run, empty where it has none."""
     with open_run(path) as run:
-        return {name: str(run.camera(name).identity.get("serial", "")) for name in run.cameras}
+        return {name: run.camera(name).serial for name in run.cameras}
 
 
 def middle_time(reference: Reference) -> str:

@@ -193,7 +193,7 @@ def find_calibration(run: RunFile, given: Path | None, pair: str | None = None) 
 
 def camera_serials(run: RunFile, pair: str | None = None) -> tuple[str, str] | None:
     """Serial numbers of the left and the right camera, None unless both are known."""
-    left, right = (str(run.camera(name).identity.get("serial", "")) for name in camera_sides(run, pair))
+    left, right = (run.camera(name).serial for name in camera_sides(run, pair))
     return (left, right) if left and right else None
 
 

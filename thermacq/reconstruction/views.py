@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from thermacq.errors import ImportDataError, ReconstructionError
 from thermacq.imaging.corrections import NO_CORRECTIONS, CorrectedPictures, Corrections, corrections_of
-from thermacq.reconstruction.pairs import camera_serials, run_pairs
+from thermacq.reconstruction.pairs import run_pairs
 from thermacq.rig import Rig
 from thermacq.store import RunFile, open_run
 from thermacq_calibration import (
@@ -96,14 +96,6 @@ def board_of(rig: Rig) -> Board:
     table = rig.board
     kind = BoardKind(table.kind)
     return Board(table.columns, table.rows, table.square_m, kind, table.marker_m, table.dictionary)
-
-
-def serials_of(sources: Sequence[Path], pair: str | None = None) -> tuple[str, str] | None:
-    """Serial numbers of the cameras of a run file; None for pictures, which do not tell."""
-    if not is_run(sources):
-        return None
-    with open_run(sources[0]) as run:
-        return camera_serials(run, pair)
 
 
 def views_from_files(files: Sequence[Path]) -> list[PictureView]:

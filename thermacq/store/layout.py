@@ -168,7 +168,7 @@ def _create_camera(
     detector = _group(instrument, camera.name, "NXdetector")
     put_text(detector, "local_name", camera.name)
     put_text(detector, "description", str(camera.identity.get("model", "")))
-    put_text(detector, "serial_number", str(camera.identity.get("serial", "")))
+    put_text(detector, "serial_number", camera.serial)
     if bit_depth := camera.capabilities.get("bit_depth"):
         detector.create_dataset("bit_depth_readout", data=int(bit_depth))
         detector.create_dataset("saturation_value", data=2 ** int(bit_depth) - 1)

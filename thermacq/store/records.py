@@ -57,6 +57,11 @@ class CameraStream:
     applied: dict[str, Any] = field(default_factory=dict)
     capabilities: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def serial(self) -> str:
+        """Serial number; empty where the device has none."""
+        return str(self.identity.get("serial", ""))
+
 
 @dataclass(frozen=True)
 class ProbeStream:
@@ -69,6 +74,11 @@ class ProbeStream:
     identity: dict[str, Any] = field(default_factory=dict)
     applied: dict[str, Any] = field(default_factory=dict)
     capabilities: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def serial(self) -> str:
+        """Serial number; empty where the device has none."""
+        return str(self.identity.get("serial", ""))
 
 
 @dataclass(frozen=True)

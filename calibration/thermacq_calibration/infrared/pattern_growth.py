@@ -1,4 +1,4 @@
-"""How fixed-pattern noise grows with the age of a correction, and whether a recording outlasts it.
+"""How fixed-pattern noise grows with the age of a correction.
 
 Its growth is a power law and a linear part of the time since the correction (SPIE 12533-0T); the coefficients
 are those of a single camera and have to be measured.
@@ -14,7 +14,6 @@ import numpy as np
 from thermacq_calibration.errors import CalibrationError
 
 FEWEST_AGES = 4
-LARGEST_GROWTH_NETD = 0.5
 _EXPONENTS = np.arange(0.05, 0.96, 0.05)
 
 
@@ -64,26 +63,3 @@ def fit_growth(ages_s: Sequence[float], sigma_vh_k: Sequence[float]) -> PatternG
         if rest < least:
             best, least = PatternGrowth(float(start), float(power), float(exponent), float(linear)), rest
     return best
-
-
-def growth_warning(growth: PatternGrowth, age_s: float, duration_s: float, netd_k: float) -> str:
-    """What to say when the pattern will grow by more than half the NETD during a recording; else empty.
-
-    Parameters
-    ----------
-    growth
-        Law of growth of this camera.
-    age_s
-        Age of the correction when the recording begins.
-    duration_s
-        Planned length of the recording.
-    netd_k
-        Temporal noise of a pixel.
-    """
-    grown_k = growth.growth_k(age_s, duration_s)
-    if grown_k <= LARGEST_GROWTH_NETD * netd_k:
-        return ""
-    return (
-        f"fixed-pattern noise will grow by {1e3 * grown_k:.0f} mK during {duration_s:.0f} s, more than half the "
-        f"NETD of {1e3 * netd_k:.0f} mK: update the offsets first, or record in shorter pieces"
-    )
