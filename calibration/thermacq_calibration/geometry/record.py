@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.fields import Fields, parse_json
+from thermacq_calibration.files import new_file, read_text
 from thermacq_calibration.models import (
     Board,
     CameraModel,
@@ -236,20 +236,8 @@ class StereoCalibration:
             The file exists already or cannot be written.
         """
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-        try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(text)
-        except FileExistsError:
-            raise CalibrationError(
-                f"'{path}' exists already", kept="It was not touched.", remedy="Choose another name."
-            ) from None
-        except OSError as error:
-            with suppress(OSError):
-                path.unlink()
-            raise CalibrationError(
-                f"'{path}' cannot be written: {error.strerror}",
-                remedy="Choose a folder that exists and has room.",
-            ) from None
+        with new_file(path):
+            path.write_text(text, encoding="utf-8")
 
     def standard_uncertainty(self, quantity: str) -> float | None:
         """Standard uncertainty of a quantity of `uncertainty.bootstrap`, None while it is not known."""
@@ -299,18 +287,7 @@ def load_calibration(path: Path) -> StereoCalibration:
     CalibrationError
         The file is missing, no calibration record, damaged or altered.
     """
-    try:
-        if path.stat().st_size > _MAX_FILE_BYTES:
-            raise CalibrationError(f"'{path}' is too large to be a calibration record")
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise CalibrationError(
-            f"there is no file '{path}'", remedy="Make one with `thermacq calibrate`."
-        ) from None
-    except UnicodeDecodeError:
-        raise CalibrationError(f"'{path}' is no calibration record: it is not text") from None
-    except OSError as error:
-        raise CalibrationError(f"'{path}' cannot be read: {error.strerror}") from None
+    text = read_text(path, "calibration record", _MAX_FILE_BYTES, "Make one with `thermacq calibrate`.")
     try:
         return StereoCalibration.from_dict(parse_json(text))
     except CalibrationError as error:

@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntFlag
@@ -22,13 +21,13 @@ from numpy.typing import DTypeLike, NDArray
 
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.fields import Fields, parse_json
+from thermacq_calibration.files import new_file
 
 if TYPE_CHECKING:
     import h5py
 
 FORMAT = "thermacq-camera-correction"
 VERSION = 1
-SUFFIX = ".correction.h5"
 _MAX_PIXELS = 2**24
 _MAX_TEXT_BYTES = 2**20
 _SMALLEST_SPAN_K = 0.1
@@ -165,7 +164,7 @@ class CameraCorrection:
         return kelvin
 
     def save(self, path: Path) -> None:
-        """Write the record to a new HDF5 file; its name should end in `SUFFIX`.
+        """Write the record to a new HDF5 file; its name should end in ``.correction.h5``.
 
         Raises
         ------
@@ -174,23 +173,8 @@ class CameraCorrection:
         """
         import h5py
 
-        try:
-            # HDF5 itself does not say why it could not make a file; this does.
-            with path.open("xb"):
-                pass
-            with h5py.File(path, "w") as file:
-                self.to_group(file)
-        except FileExistsError:
-            raise CalibrationError(
-                f"'{path}' exists already", kept="It was not touched.", remedy="Choose another name."
-            ) from None
-        except OSError as error:
-            with suppress(OSError):
-                path.unlink()
-            raise CalibrationError(
-                f"'{path}' cannot be written: {error.strerror or error}",
-                remedy="Choose a folder that exists and has room.",
-            ) from None
+        with new_file(path), h5py.File(path, "w") as file:
+            self.to_group(file)
 
     def to_group(self, group: h5py.Group) -> None:
         """Write the record into an empty group of an open HDF5 file."""

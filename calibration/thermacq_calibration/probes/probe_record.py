@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 
 from thermacq_calibration.errors import CalibrationError
 from thermacq_calibration.fields import Fields, parse_json
+from thermacq_calibration.files import new_file, read_text
 from thermacq_calibration.probes.immersion_steps import StepReading
 from thermacq_calibration.probes.probe_line import ProbeLine
 
@@ -92,31 +92,13 @@ class ProbeCalibration:
     def save(self, path: Path) -> None:
         """Write a new file; raises `CalibrationError` when it exists or cannot be written."""
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-        try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(text)
-        except FileExistsError:
-            raise CalibrationError(
-                f"'{path}' exists already", kept="It was not touched.", remedy="Choose another name."
-            ) from None
-        except OSError as error:
-            with suppress(OSError):
-                path.unlink()
-            raise CalibrationError(f"'{path}' cannot be written: {error.strerror}") from None
+        with new_file(path):
+            path.write_text(text, encoding="utf-8")
 
 
 def load_probe_calibration(path: Path) -> ProbeCalibration:
     """Read a probe calibration; raises `CalibrationError` when it is missing, foreign, damaged or altered."""
-    try:
-        if path.stat().st_size > _MAX_FILE_BYTES:
-            raise CalibrationError(f"'{path}' is too large to be a probe calibration")
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise CalibrationError(f"there is no file '{path}'", remedy=_REMEDY) from None
-    except UnicodeDecodeError:
-        raise CalibrationError(f"'{path}' is no probe calibration: it is not text") from None
-    except OSError as error:
-        raise CalibrationError(f"'{path}' cannot be read: {error.strerror}") from None
+    text = read_text(path, "probe calibration", _MAX_FILE_BYTES, _REMEDY)
     try:
         return ProbeCalibration.from_dict(parse_json(text))
     except CalibrationError as error:
