@@ -157,7 +157,6 @@ class HsvaLogger:
         self._clock = context.clock
         self._finder = PortFinder(context, _IDS)
         self._settings = HsvaSettings()
-        self._port: SerialPort | None = None
         self._armed = False
         self._restart()
 
@@ -183,17 +182,14 @@ class HsvaLogger:
         """Apply settings and listen whether the logger says anything."""
         self.disarm()
         checked = check_settings(HsvaSettings, settings, self._name)
-        node = self._finder.confirm(checked.port)
-        self._close_port()
+        port = self._finder.connect(checked.port, checked.baud)
         self._settings = checked
-        self._port = SerialPort(self._name, node.path, checked.baud)
-        self._port.read(1, checked.timeout_s, "configure")
+        port.read(1, checked.timeout_s, "configure")
         return checked.model_dump(mode="json")
 
     def arm(self) -> None:
         """Forget what came before; samples are counted from the first record that follows."""
-        port = self._require_port("arm")
-        port.discard("arm")
+        self._finder.port("arm").discard("arm")
         self._restart()
         self._armed = True
 
@@ -245,23 +241,12 @@ class HsvaLogger:
     def close(self) -> None:
         """Let go of the port."""
         self.disarm()
-        self._close_port()
-        self._finder.node = None
-
-    def _close_port(self) -> None:
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+        self._finder.close()
 
     def _require_armed(self) -> SerialPort:
         if not self._armed:
             raise DeviceFault(self._name, "acquire", "it is not armed")
-        return self._require_port("acquire")
-
-    def _require_port(self, stage: str) -> SerialPort:
-        if self._port is None:
-            raise DeviceFault(self._name, stage, "it is not open and configured")
-        return self._port
+        return self._finder.port("acquire")
 
 
 def discover(transports: Transports) -> list[DeviceIdentity]:

@@ -211,7 +211,7 @@ class ModbusLevelProbe:
         """Let go of the port."""
         self.disarm()
         self._close_client()
-        self._finder.node = None
+        self._finder.close()
 
     def _close_client(self) -> None:
         if self._client is not None:

@@ -131,7 +131,6 @@ class SerialAsciiProbe:
         self._clock = context.clock
         self._finder = PortFinder(context)
         self._settings = SerialAsciiSettings()
-        self._port: SerialPort | None = None
         self._armed = False
         self._count = 0
 
@@ -154,16 +153,13 @@ class SerialAsciiProbe:
         """Apply settings and open the port with them."""
         self.disarm()
         checked = check_settings(SerialAsciiSettings, settings, self._name)
-        node = self._finder.confirm(checked.port)
-        self._close_port()
+        self._finder.connect(checked.port, checked.baud, checked.frame)
         self._settings = checked
-        self._port = SerialPort(self._name, node.path, checked.baud, checked.frame)
         return checked.model_dump()
 
     def arm(self) -> None:
         """Forget what was printed before, and count from 0."""
-        port = self._require_port("arm")
-        port.discard("arm")
+        self._finder.port("arm").discard("arm")
         self._count, self._armed = 0, True
 
     def samples(self, host: StreamHost) -> Iterator[SampleBlock]:
@@ -202,23 +198,12 @@ class SerialAsciiProbe:
     def close(self) -> None:
         """Let go of the port."""
         self.disarm()
-        self._close_port()
-        self._finder.node = None
-
-    def _close_port(self) -> None:
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+        self._finder.close()
 
     def _require_armed(self) -> SerialPort:
         if not self._armed:
             raise DeviceFault(self._name, "acquire", "it is not armed")
-        return self._require_port("acquire")
-
-    def _require_port(self, stage: str) -> SerialPort:
-        if self._port is None:
-            raise DeviceFault(self._name, stage, "it is not open and configured")
-        return self._port
+        return self._finder.port("acquire")
 
 
 def _consecutive(parsed: Sequence[list[float] | None]) -> Iterator[tuple[int, list[list[float]]]]:

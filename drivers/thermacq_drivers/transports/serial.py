@@ -65,7 +65,7 @@ def find_port(nodes: Sequence[SerialNode], device: str, *, serial: str = "", pat
 
 
 class PortFinder:
-    """Finds the serial port of one device, and the same device again after its cable was pulled.
+    """Finds the serial port of one device, and the same device again after its cable was pulled; holds it open.
 
     Parameters
     ----------
@@ -80,6 +80,7 @@ class PortFinder:
         self._name, self._transports, self._ids = context.name, context.transports, ids
         self._serial, self._path = context.serial, str(context.settings.get("port", ""))
         self.node: SerialNode | None = None
+        self._open: SerialPort | None = None
 
     def find(self) -> SerialNode:
         """Look for it; raises as `find_port` does."""
@@ -98,6 +99,29 @@ class PortFinder:
             what = f"settings name port '{port}', the open one is '{self.node.path}'"
             raise DeviceFault(self._name, "configure", what)
         return self.node
+
+    def connect(self, port: str, baud: int, frame: str = "8N1") -> SerialPort:
+        """Open the port that was found, anew if it is open; as `confirm`, for `configure`."""
+        node = self.confirm(port)
+        self._let_go()
+        self._open = SerialPort(self._name, node.path, baud, frame)
+        return self._open
+
+    def port(self, stage: str) -> SerialPort:
+        """The port that `connect` opened; raises `DeviceFault` before that."""
+        if self._open is None:
+            raise DeviceFault(self._name, stage, "it is not open and configured")
+        return self._open
+
+    def close(self) -> None:
+        """Close the port and forget where it was; never raises."""
+        self._let_go()
+        self.node = None
+
+    def _let_go(self) -> None:
+        if self._open is not None:
+            self._open.close()
+            self._open = None
 
 
 class SerialPort:
