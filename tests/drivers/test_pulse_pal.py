@@ -122,7 +122,7 @@ def line_pulses(reader):
 
 def all_pulses(reader):
     """Pulses up to the end of the train; the box is a thread of its own and may be a moment late."""
-    taken, deadline_s = [], time.monotonic() + 5
+    taken, deadline_s = [], time.monotonic() + 30
     while not reader.finished and time.monotonic() < deadline_s:
         taken += line_pulses(reader)
         time.sleep(0.001)

@@ -143,8 +143,9 @@ def test_a_silent_trigger_line_times_out(fake_camera, gige):
 def test_every_frame_that_lost_packets_is_counted(fake_camera, running):
     """Of each thousand packets the camera throws five away; it does not send them again."""
     fake_camera(lost_per_thousand=5)
-    _, host = running(100.0, address="127.0.0.1")
-    frames = host.take(80)
+    # As many buffers as a host can need that is late by seconds: only packets may be lost here.
+    _, host = running(50.0, address="127.0.0.1", buffers=500)
+    frames = host.take(80, within_s=30.0)
     missing = sum(two.counter - one.counter - 1 for one, two in pairwise(frames))
     assert host.losses
     assert all(isinstance(loss, IncompleteFrame) for loss in host.losses)
@@ -165,9 +166,10 @@ def test_damaged_frames_can_be_kept(fake_camera, running):
 
 def test_a_late_host_is_told_apart_from_a_bad_network(fake_camera, running):
     fake_camera()
-    _, host = running(100.0, address="127.0.0.1", buffers=4)
+    # Slow enough that a busy computer is not late by itself.
+    _, host = running(20.0, address="127.0.0.1", buffers=4)
     host.take(3)
-    time.sleep(0.3)
+    time.sleep(1.0)
     host.take(10)
     assert [type(loss) for loss in host.losses] == [DeviceOverrun]
     counters = [frame.counter for frame in host.frames]
