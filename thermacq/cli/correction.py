@@ -175,7 +175,7 @@ def check(
 
 
 def _facts(correction: CameraCorrection) -> dict[str, Any]:
-    from thermacq.imaging.condition import bad_pixel_counts
+    from thermacq_calibration.infrared.correction import bad_pixel_counts
 
     rows, columns = correction.shape
     return {
@@ -193,7 +193,10 @@ def _facts(correction: CameraCorrection) -> dict[str, Any]:
         "gain_sd": float(correction.gain[correction.bad_pixels == 0].std()),
         "offset_sd_counts": float(correction.offset[correction.bad_pixels == 0].std()),
         "shading": correction.shading is not None,
-        "bad_pixels": bad_pixel_counts(correction),
+        "bad_pixels": {
+            "all": int((correction.bad_pixels > 0).sum()),
+            **bad_pixel_counts(correction.bad_pixels),
+        },
     }
 
 

@@ -126,15 +126,6 @@ def judge_correction(
     )
 
 
-def bad_pixel_counts(correction: CameraCorrection) -> dict[str, int]:
-    """How many pixels are bad, in all and for each reason."""
-    from thermacq_calibration import BadPixel
-
-    bad = correction.bad_pixels
-    counts = {str(reason.name).lower(): int(np.count_nonzero(bad & np.uint8(reason))) for reason in BadPixel}
-    return {"all": int(np.count_nonzero(bad)), **counts}
-
-
 def _warnings(
     found: Uniformity, warming_k: float | None, predicted_netd: float | None, planned_s: float
 ) -> list[str]:

@@ -8,21 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermacq.imaging.condition import bad_pixel_counts
+from thermacq.imaging.noise_drawing import draw_bad_pixels
 
 if TYPE_CHECKING:
     from thermacq_calibration import CameraCorrection
 
-_COLOURS = {"dead": "#d62728", "noisy": "#1f77b4", "blinking": "#2ca02c", "outlier": "#9467bd"}
-
 
 def draw_correction(correction: CameraCorrection, path: Path) -> None:
     """Draw gain, offset, shading where there is one, and the bad-pixel map; writes a PNG file."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 9), layout="constrained")
-    FigureCanvasAgg(figure)
     gain, offset, shading, bad = figure.subplots(2, 2).flat
     good = correction.bad_pixels == 0
     _picture(figure, gain, correction.gain, good, "gain", "")
@@ -32,7 +28,7 @@ def draw_correction(correction: CameraCorrection, path: Path) -> None:
         shading.text(0.5, 0.5, "no shading in this correction", ha="center", va="center")
     else:
         _picture(figure, shading, correction.shading, good, "shading", "counts")
-    _bad_pixels(bad, correction)
+    draw_bad_pixels(bad, correction.bad_pixels)
     updated = f", offsets of {correction.offset_updated}" if correction.offset_updated else ""
     figure.suptitle(
         f"camera {correction.camera} ({correction.serial or 'no serial'}), made {correction.created}{updated}"
@@ -47,17 +43,3 @@ def _picture(
     image = axes.imshow(values, vmin=low, vmax=high, cmap="viridis", interpolation="nearest")
     axes.set_title(f"{name}: spread {values[good].std():.3g} {unit}".rstrip())
     figure.colorbar(image, ax=axes, label=unit, shrink=0.8)
-
-
-def _bad_pixels(axes: Any, correction: CameraCorrection) -> None:
-    from thermacq_calibration import BadPixel
-
-    rows, columns = correction.shape
-    counts = bad_pixel_counts(correction)
-    for reason in BadPixel:
-        name = str(reason.name).lower()
-        down, right = np.nonzero(correction.bad_pixels & np.uint8(reason))
-        axes.plot(right, down, ".", markersize=2.5, color=_COLOURS[name], label=f"{name} {counts[name]}")
-    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal")
-    axes.set_title(f"bad pixels: {counts['all']} ({100 * counts['all'] / (rows * columns):.3f} %)")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=4, markerscale=4, fontsize="small")

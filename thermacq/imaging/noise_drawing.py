@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermacq.errors import CorrectionError
 from thermacq.imaging.noise_tables import camera_rows, component_rows
@@ -106,7 +107,7 @@ def draw(cameras: Sequence[CameraNoise]) -> Figure:
             part.suptitle(f"{camera.camera}  {camera.serial}", fontweight="bold")
             (picture, bad, components), (rows, columns, warm_up) = part.subplots(2, 3)
             _draw_mean(picture, camera)
-            _draw_bad_pixels(bad, camera)
+            draw_bad_pixels(bad, camera.bad_pixels, f", from {camera.bad_pixels_from}")
             _draw_components(components, camera)
             _draw_spectrum(rows, camera, camera.along_rows, "along rows")
             _draw_spectrum(columns, camera, camera.along_columns, "along columns")
@@ -131,10 +132,8 @@ def draw_warm_up(axis: Axes, time_s: Any, fpa_temperature_k: Any, level: Any, un
 
 
 def _level(camera: CameraNoise) -> tuple[Any, str]:
-    above = camera.level_counts - camera.level_counts[0]
-    if camera.sitf is None:
-        return above, "counts above the first"
-    return 1000 * above / camera.sitf.counts_per_kelvin, "mK above the first"
+    factor, unit = _unit(camera)
+    return factor * (camera.level_counts - camera.level_counts[0]), f"{unit} above the first"
 
 
 def _unit(camera: CameraNoise) -> tuple[float, str]:
@@ -152,19 +151,20 @@ def _draw_mean(axis: Axes, camera: CameraNoise) -> None:
     axis.grid(visible=False)
 
 
-def _draw_bad_pixels(axis: Axes, camera: CameraNoise) -> None:
+def draw_bad_pixels(axis: Axes, bad_pixels: NDArray[np.uint8], note: str = "") -> None:
+    """Where pixels are bad, by their reason; (rows, columns), bits of `BadPixel`."""
     from thermacq_calibration import BadPixel
 
-    rows, columns = camera.bad_pixels.shape
+    rows, columns = bad_pixels.shape
     for kind in BadPixel:
         name = str(kind.name).lower()
-        row, column = np.nonzero(camera.bad_pixels & kind)
+        row, column = np.nonzero(bad_pixels & kind)
         axis.scatter(
             column, row, s=3, marker="s", linewidths=0, color=_BAD_COLOURS[name], label=f"{name} {len(row)}"
         )
-    share = np.count_nonzero(camera.bad_pixels) / camera.bad_pixels.size
+    share = np.count_nonzero(bad_pixels) / bad_pixels.size
     axis.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal")
-    axis.set_title(f"bad pixels: {share:.3%}, from {camera.bad_pixels_from}")
+    axis.set_title(f"bad pixels: {share:.3%}{note}")
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=4, markerscale=3, columnspacing=1.0)
     axis.grid(visible=False)
 

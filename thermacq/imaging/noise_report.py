@@ -18,13 +18,14 @@ from thermacq.imaging.corrections import CorrectedPictures, Corrections, correct
 from thermacq.imaging.making import view_of_camera
 from thermacq.imaging.references import Reference, frames_of
 from thermacq.store import RunFile, open_run
-from thermacq_calibration import BadPixel, CameraCorrection
+from thermacq_calibration import CameraCorrection
 from thermacq_calibration.infrared.bad_pixels import (
     blinking_pixels,
     dead_pixels,
     noisy_pixels,
     outlying_pixels,
 )
+from thermacq_calibration.infrared.correction import bad_pixel_counts
 from thermacq_calibration.infrared.noise import COMPONENTS, Noise3D, NoiseAccumulator
 from thermacq_calibration.infrared.noise_figures import (
     Figure,
@@ -139,7 +140,7 @@ class CameraNoise:
 
     def bad_counts(self) -> dict[str, int]:
         """Number of bad pixels by reason; a pixel may have several."""
-        return {str(kind.name).lower(): int(np.count_nonzero(self.bad_pixels & kind)) for kind in BadPixel}
+        return bad_pixel_counts(self.bad_pixels)
 
     def facts(self) -> dict[str, Any]:
         """Plain values; arrays are left out."""

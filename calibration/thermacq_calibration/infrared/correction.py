@@ -45,6 +45,11 @@ class BadPixel(IntFlag):
     OUTLIER = 8
 
 
+def bad_pixel_counts(bad_pixels: NDArray[np.uint8]) -> dict[str, int]:
+    """Number of bad pixels of a map by reason, names in small letters; a pixel may have several."""
+    return {str(reason.name).lower(): int(np.count_nonzero(bad_pixels & reason)) for reason in BadPixel}
+
+
 @dataclass(frozen=True, eq=False)
 class CameraCorrection:
     """Correction of one camera: ``corrected = gain * counts + offset - shading``.
