@@ -80,15 +80,6 @@ def test_a_wait_ends_when_the_host_stops(port):
     assert port.read(3, 30.0, "acquire", stop.is_set) == b""
 
 
-def test_lines_are_read_to_their_end_and_not_for_ever(port):
-    port.write(b"x", "acquire")
-    assert port.read_until(b"\r\n", 10, 1.0, "acquire") == b"x\r\n"
-    port.write(b"abcdef", "acquire")
-    with pytest.raises(DeviceTimeout, match="within 4 bytes"):
-        port.read_until(b"!", 4, 1.0, "acquire")
-    port.discard("acquire")
-
-
 def test_a_pulled_port_is_a_typed_fault_in_every_verb(cable, port):
     cable.unplug()
     for action in (

@@ -195,16 +195,6 @@ class SerialPort:
                 return bytes(self._port.read(1)) + bytes(self._port.read(self._port.in_waiting or 0))
             return bytes(self._port.read(waiting))
 
-    def read_until(self, end: bytes, longest: int, timeout_s: float, stage: str) -> bytes:
-        """Read up to and including `end`; raises `DeviceTimeout` when it does not come in `longest` bytes."""
-        deadline_s = time.monotonic() + timeout_s
-        data = b""
-        while not data.endswith(end):
-            if len(data) >= longest:
-                raise DeviceTimeout(self._device, stage, f"no {end!r} within {longest} bytes")
-            data += self.read(1, deadline_s - time.monotonic(), stage)
-        return data
-
     def check(self, stage: str) -> None:
         """Raise `DeviceDisconnected` when the port is gone; reads nothing."""
         with self._faults(stage):
