@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from thermacq.cli.app import app
 from thermacq.reconstruction import WorldFrame, load_world_frame, open_product
 from thermacq.reconstruction.product import ProductWriter
-from thermacq.store import RunHeader, open_run
-from thermacq_calibration import CameraModel, StereoCalibration
+from thermacq.store import CameraStream, RunHeader, RunWriter, open_run
+from thermacq_calibration import Board, BoardKind, CameraModel, StereoCalibration
 
 SIMULATED = """
 view = "chessboard"
@@ -130,6 +130,25 @@ def test_files_that_exist_or_do_not_belong_are_refused(world, tmp_path):
     assert "another calibration" in failure("world", "x-axis", world, *words)
     words = ("-w", world, "-c", tmp_path / "cal.json", "--pair", "a", "-o", tmp_path / "n.json")
     assert run("world", "join-by-board", tmp_path / "run.h5", *words).exit_code == 2
+
+
+def test_the_board_is_looked_for_as_the_rig_describes_it(world, tmp_path, monkeypatch):
+    path, looked_for = tmp_path / "board.h5", []
+    board = {"columns": 7, "rows": 6, "square_m": 0.02, "kind": "charuco", "marker_m": 0.01}
+    board["dictionary"] = "DICT_4X4_50"
+    rig = {"cameras": {name: {"driver": "x"} for name in ("left", "right")}, "board": board}
+    header = RunHeader("1", "board", "2026-01-01T00:00:00+00:00", 0, 0, "virtual", True, rig)
+    with RunWriter.create(path, header, [CameraStream(name, 64, 64) for name in ("left", "right")]) as writer:
+        writer.finish({}, "done")
+
+    def board_corners(_run, board, *_rest):
+        looked_for.append(board)
+        return []
+
+    monkeypatch.setattr("thermacq.reconstruction.shared_board.board_corners", board_corners)
+    words = ("--board", path, "-c", tmp_path / "cal.json", "-o", tmp_path / "n.json", "--columns", 5)
+    assert "in no view" in failure("world", "x-axis", world, *words)
+    assert looked_for == [Board(5, 6, 0.02, BoardKind.CHARUCO, 0.01, "DICT_4X4_50")]
 
 
 def test_fuse_tells_the_overlap(world, tmp_path):

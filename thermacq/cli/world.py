@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -263,12 +264,13 @@ def _corners(
 ) -> tuple[list[BoardCorners], Board]:
     """Corners of the board in a run, and the board: as its rig describes it, unless its size is given."""
     from thermacq.reconstruction.shared_board import board_corners
+    from thermacq.reconstruction.views import board_of
     from thermacq.store import open_run
-    from thermacq_calibration import Board, check_board
+    from thermacq_calibration import check_board
 
     with open_run(run) as opened:
-        table = opened.rig.board
-    board = Board(size[0] or table.columns, size[1] or table.rows, table.square_m)
+        board = board_of(opened.rig)
+    board = replace(board, columns=size[0] or board.columns, rows=size[1] or board.rows)
     check_board(board)
     with err.status(f"looking for the board ({pair})" if pair else "looking for the board"):
         return board_corners(run, board, calibration, pair, frames_per_view), board
