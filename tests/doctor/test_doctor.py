@@ -124,6 +124,15 @@ def test_a_device_that_may_not_be_opened(tmp_path):
     assert "--udev-rules" in first.remedy
 
 
+def test_a_device_that_is_reached_through_its_port_is_no_problem(tmp_path, monkeypatch):
+    plug(tmp_path, "1-1", 1, 4, "480")
+    plug(tmp_path, "1-2", 1, 5, "480")
+    put(tmp_path, "sys/bus/usb/devices/1-2/1-2:1.0/tty/ttyACM0/dev", "166:0")
+    monkeypatch.setattr(os, "access", lambda path, mode: "bus/usb" not in str(path))
+    verdicts = [check.verdict for check in usb_bus.permissions([CAMERA], tmp_path)]
+    assert verdicts == [Verdict.PROBLEM, Verdict.WARNING, Verdict.OK, Verdict.OK]
+
+
 def test_permissions_are_asked_of_the_kernel(tmp_path, monkeypatch):
     plug(tmp_path, "1-1", 1, 4, "480")
     put(tmp_path, "dev/ttyACM0", "")

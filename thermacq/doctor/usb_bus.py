@@ -13,6 +13,8 @@ from thermacq.doctor.findings import Check, Verdict, read
 from thermacq.hooks import Driver
 
 _HIGH_SPEED_MBIT = 480
+# Where the kernel lists the serial ports and video nodes that it made of a device.
+_NODES = ("*/tty/*", "*/ttyUSB*", "*/video4linux/*")
 _RULES_FILE = "/etc/udev/rules.d/70-thermacq.rules"
 
 
@@ -28,6 +30,8 @@ class UsbDevice:
     product: str
     drivers: tuple[str, ...]
     is_camera: bool
+    has_nodes: bool
+    """Whether the kernel made a serial port or a video node of it; most drivers need only that."""
 
     @property
     def node(self) -> str:
@@ -53,7 +57,9 @@ def attached(drivers: Sequence[Driver], root: Path) -> list[UsbDevice]:
         if takers := claims.get(ids):
             names = tuple(driver.name for driver in takers)
             camera = any(driver.kind is DeviceKind.CAMERA for driver in takers)
-            found.append(UsbDevice(*ids, bus, device, speed, read(entry / "product"), names, camera))
+            nodes = any(True for pattern in _NODES for _ in entry.glob(pattern))
+            product = read(entry / "product")
+            found.append(UsbDevice(*ids, bus, device, speed, product, names, camera, nodes))
     return found
 
 
@@ -69,9 +75,11 @@ def permissions(drivers: Sequence[Driver], root: Path) -> list[Check]:
                 f"As root: thermacq doctor --udev-rules > {_RULES_FILE}; udevadm control --reload; "
                 "udevadm trigger. Then plug it in again."
             )
-            checks.append(
-                Check(name, Verdict.PROBLEM, f"/{device.node} may not be opened by this user", remedy)
-            )
+            what = f"/{device.node} may not be opened by this user"
+            if device.has_nodes:
+                what += "; drivers that use only its serial port or video node do not mind"
+            verdict = Verdict.WARNING if device.has_nodes else Verdict.PROBLEM
+            checks.append(Check(name, verdict, what, remedy))
     return [
         *checks,
         _nodes("serial ports", ("ttyACM*", "ttyUSB*"), "dialout", root),
