@@ -64,9 +64,10 @@ def folder(tmp_path: Path):
 def start(folder: Path):
     runtime = Path(tempfile.mkdtemp(prefix="th-"))
     environment = os.environ | {"XDG_RUNTIME_DIR": str(runtime), "COLUMNS": "200"}
+    started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-m", "thermacq", *arguments],
             cwd=folder,
             env=environment,
@@ -74,8 +75,15 @@ def start(folder: Path):
             stderr=subprocess.PIPE,
             text=True,
         )
+        started.append(process)
+        return process
 
     yield start
+    for process in started:
+        if process.poll() is None:
+            # A test that gave up waiting leaves nothing behind.
+            process.kill()
+            process.communicate()
     shutil.rmtree(runtime)
 
 
