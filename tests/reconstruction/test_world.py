@@ -15,7 +15,7 @@ from thermacq.rig import WorldTable
 
 def frame_on(normal, distance=0.6, rotation_left=None, **table):
     return world_frame(
-        Plane(np.asarray(normal, float), distance, 0.0003, 1000, 0.99),
+        Plane(np.asarray(normal, float), distance, 0.0003, 1000),
         WorldTable(**table),
         rotation_left=np.eye(3) if rotation_left is None else rotation_left,
         points=np.full((4, 4, 3), np.nan),

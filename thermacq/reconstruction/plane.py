@@ -30,15 +30,12 @@ class Plane:
         Standard deviation of the inliers' distances.
     points
         Number of inliers.
-    inlier_share
-        Inliers over all points.
     """
 
     normal: NDArray[np.float64]
     distance_m: float
     sigma_m: float
     points: int
-    inlier_share: float
 
     def height_m(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Signed distance of points (..., 3) from the plane, positive towards the camera."""
@@ -85,7 +82,7 @@ def fit_plane(points: NDArray[np.float64], threshold_m: float, seed: int = 0) ->
     if distance < 0:
         normal, distance = -normal, -distance
     heights = flat[inliers] @ normal + distance
-    return Plane(normal, float(distance), float(heights.std()), int(inliers.sum()), float(inliers.mean()))
+    return Plane(normal, float(distance), float(heights.std()), int(inliers.sum()))
 
 
 def plane_covariance(
