@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
 from thermacq.hooks import Truth
@@ -24,6 +25,10 @@ from thermacq.store import (
     open_run,
 )
 from thermacq_calibration import Board, CameraModel, Detection, StereoCalibration, View
+
+# How long an example takes says nothing on a busy computer.
+settings.register_profile("thermacq", parent=settings.default, deadline=None)
+settings.load_profile("thermacq")
 
 
 @pytest.fixture(scope="session")
