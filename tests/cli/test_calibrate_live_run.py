@@ -76,7 +76,7 @@ def start(tmp_path: Path):
 @pytest.mark.slow
 def test_from_the_first_view_to_the_record(start, tmp_path: Path) -> None:
     process = start(3, "--bootstrap", "5", "--json")
-    out, err = process.communicate(timeout=200)
+    out, err = process.communicate(timeout=280)
     assert process.returncode == 0, err
     made = load_calibration(tmp_path / "cal.json")
     assert json.loads(out)["sha256"] == made.sha256
@@ -101,7 +101,7 @@ def test_ctrl_c_leaves_a_closed_run_and_says_so(start, tmp_path: Path) -> None:
         time.sleep(0.05)
     time.sleep(1.5)
     os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=280)
     assert "Traceback" not in err
     assert "what was recorded is kept" in err
     assert "recorded: " in err

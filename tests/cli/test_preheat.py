@@ -91,7 +91,7 @@ def start(folder: Path):
 def thermacq(start):
     def run(*arguments: str) -> tuple[int, str, str]:
         process = start(*arguments)
-        out, err = process.communicate(timeout=110)
+        out, err = process.communicate(timeout=280)
         assert "Traceback" not in err
         return process.returncode, out, err
 
@@ -152,7 +152,7 @@ def test_ctrl_c_keeps_the_run_and_says_no_go(start, folder: Path) -> None:
         time.sleep(0.05)
     time.sleep(2.0)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=280)
     assert process.returncode == 3
     assert "Traceback" not in err
     assert "no-go" in out

@@ -116,7 +116,7 @@ def test_ctrl_c_keeps_parts_says_how_to_go_on_and_the_same_command_does(wave_run
     while not list(folder.glob("*/part-*.npz")) and time.monotonic() < deadline:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=280)
     assert process.returncode == 130
     assert "Run the same command again" in said
     assert "Traceback" not in said

@@ -42,7 +42,7 @@ def test_the_page_is_drawn(full_data, tmp_path: Path, width: int) -> None:
         ],
         capture_output=True,
         text=True,
-        timeout=90,
+        timeout=280,
         check=False,
     )
     assert picture.exists(), done.stderr

@@ -89,7 +89,7 @@ def test_the_page_is_drawn(record, tmp_path: Path, width: int) -> None:
         [CHROMIUM, *quiet, *place, f"--window-size={width},3000", page.as_uri()],
         capture_output=True,
         text=True,
-        timeout=90,
+        timeout=280,
         check=False,
     )
     assert picture.exists(), done.stderr

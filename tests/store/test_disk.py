@@ -136,7 +136,7 @@ print("closed", flush=True)
 def run_writer(path, *limit):
     """Write in a child until the disk refuses; return the promised frames, its message, and if it got past close."""
     arguments = [sys.executable, "-c", WRITER, str(Path(__file__).parent), str(path), *map(str, limit)]
-    child = subprocess.run(arguments, capture_output=True, text=True, timeout=100, check=False)
+    child = subprocess.run(arguments, capture_output=True, text=True, timeout=280, check=False)
     lines = child.stdout.split("\n")
     promised = max((int(line) for line in lines if line.isdigit()), default=0)
     message = next((line for line in lines if line.startswith("error:")), child.stderr)

@@ -51,7 +51,7 @@ def thermacq(tmp_path, monkeypatch):
             capture_output=True,
             text=True,
             check=False,
-            timeout=90,
+            timeout=280,
         )
 
     return run
@@ -161,7 +161,7 @@ def test_the_driver_conforms(fake_camera, tmp_path):
         capture_output=True,
         text=True,
         check=False,
-        timeout=110,
+        timeout=280,
     )
     assert done.returncode == 0, done.stdout
     # The faults have tests of their own: no setting makes a real peer act them out.
