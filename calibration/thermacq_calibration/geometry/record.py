@@ -220,7 +220,12 @@ class StereoCalibration:
                 remedy="Use the program version that wrote it, or calibrate again.",
             )
         calibration = _from_fields(record)
-        if calibration.to_dict() != values:
+        try:
+            is_intact = calibration.to_dict() == values
+        except ValueError:
+            # A number that is not finite, deep inside.
+            is_intact = False
+        if not is_intact:
             raise CalibrationError(
                 "the calibration was altered after it was made: its content does not match its hash",
                 remedy="Use the original file, or calibrate again; records are never edited.",

@@ -106,6 +106,12 @@ def test_foreign_json_is_refused(values):
         StereoCalibration.from_dict(values)
 
 
+@pytest.mark.parametrize("key", ["corners", "uncertainty", "distortion"])
+def test_numbers_that_are_not_finite_are_refused_however_deep(key):
+    with pytest.raises(CalibrationError):
+        StereoCalibration.from_dict({**record().to_dict(), key: {"": float("inf")}})
+
+
 @given(st.data())
 def test_a_record_with_one_hostile_value_is_refused(data):
     values = record().to_dict()
