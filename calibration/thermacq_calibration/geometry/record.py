@@ -38,6 +38,7 @@ VERSION = 2
 _READABLE = (1, 2)
 # A record of 200 views has about 100 kB; anything far larger is no record.
 _MAX_FILE_BYTES = 16 * 1024 * 1024
+_LARGEST_M = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +130,8 @@ class StereoCalibration:
             raise CalibrationError(
                 "the translation between the cameras must be 3 finite numbers, not all zero"
             )
+        if np.abs(translation).max() > _LARGEST_M:
+            raise CalibrationError(f"no two cameras stand {np.abs(translation).max():.3g} m apart")
         object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation_m", translation)
