@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,8 @@ from thermacq_drivers.simflume.ready_made import RIGS, rig_toml, scene_summaries
 from thermacq_drivers.simflume.scene import build_surface
 from thermacq_drivers.simflume.settings import parse_scene
 from thermacq_drivers.simflume.simulate_run import simulate
+
+Recording = Future[tuple[subprocess.CompletedProcess[str], Path]]
 
 
 def simulate_run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -108,12 +112,25 @@ def test_the_mis_synchronised_rig(tmp_path: Path) -> None:
         np.testing.assert_allclose(known.time, pulse_s, atol=1e-6)
 
 
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Recording]]:
+    """Every scene, recorded two at a time: a recording of three frames waits for its processes most of the time."""
+    folder = tmp_path_factory.mktemp("scenes")
+
+    def record(name: str) -> tuple[subprocess.CompletedProcess[str], Path]:
+        path = folder / f"{name}.h5"
+        return simulate_run(name, "-o", path, "--frames", "3"), path
+
+    with ThreadPoolExecutor(2) as pool:
+        yield {name: pool.submit(record, name) for name in scene_summaries()}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", scene_summaries())
-def test_every_scene_can_be_recorded(name: str, tmp_path: Path) -> None:
-    done = simulate_run(name, "-o", tmp_path / "run.h5", "--frames", "3")
+def test_every_scene_can_be_recorded(name: str, recordings: dict[str, Recording]) -> None:
+    done, path = recordings[name].result()
     assert done.returncode == 0, done.stderr
-    with open_run(tmp_path / "run.h5") as run:
+    with open_run(path) as run:
         assert run.complete
         assert run.frame_count("left") == 3
         counts = run.counts("left", 2)
