@@ -36,7 +36,7 @@ from thermacq_calibration.models import (
 FORMAT = "thermacq-stereo-calibration"
 VERSION = 2
 _READABLE = (1, 2)
-# A record of 200 views has about 100 kB; anything far larger is no record.
+# A record of 200 views with their corners has about 1 MB; anything far larger is no record.
 _MAX_FILE_BYTES = 16 * 1024 * 1024
 _LARGEST_M = 1e6
 
